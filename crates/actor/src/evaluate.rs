@@ -1,0 +1,106 @@
+//! The evaluating actor: mode actions on seeds of its own, never a word to replay.
+
+use std::time::Duration;
+
+use anyhow::Context;
+use isodream_core::derive_seed;
+use isodream_model::Actions;
+use isodream_proto::v1;
+use isodream_rpc::learner_client;
+use tokio::runtime::Handle;
+use tokio_util::sync::CancellationToken;
+
+use crate::learner_link::LearnerLink;
+use crate::rollout::{Outcome, Pilot, episode};
+use crate::{ActorOptions, AgentPolicy};
+
+/// How often the learner is asked whether an evaluation is due.
+const POLL: Duration = Duration::from_millis(500);
+
+/// The seed of evaluation episode `index`: a branch of the seed tree that training never takes.
+pub fn evaluation_seed(root: u64, index: u64) -> u64 {
+    derive_seed(root, &["evaluate", &index.to_string()])
+}
+
+/// Evaluates the newest policy every `evaluate_interval_frames` until `shutdown`.
+///
+/// # Errors
+/// Where the environment fails, or the learner refuses this actor.
+pub async fn run(options: ActorOptions, shutdown: CancellationToken) -> anyhow::Result<()> {
+    let mut env = isodream_envs::make(&options.config.env)?;
+    let spec = env.spec().clone();
+    let link = LearnerLink::start(
+        &options.learner,
+        &options.identity(&spec),
+        &options.actor_id,
+    )?;
+    let client = learner_client(&options.learner)?;
+    let runtime = Handle::current();
+    let actor = move || -> anyhow::Result<()> {
+        let config = &options.config;
+        tch::set_num_threads(config.actor.threads);
+        tch::manual_seed(derive_seed(config.seed, &["noise", &options.actor_id]) as i64);
+        let mut agent: Option<AgentPolicy> = None;
+        let mut due_frames = 0;
+        while !shutdown.is_cancelled() {
+            let mut client = client.clone();
+            let status = runtime.block_on(client.status(v1::LearnerStatusRequest {}));
+            let frames = status.map_or(0, |status| status.into_inner().env_frames);
+            let Some(policy) = link.newest()?.filter(|_| frames >= due_frames) else {
+                std::thread::sleep(POLL);
+                continue;
+            };
+            due_frames = frames + config.actor.evaluate_interval_frames;
+            match &mut agent {
+                Some(agent) => agent.load(&policy.weights),
+                None => {
+                    AgentPolicy::new(config, &spec, 1, &policy.weights).map(|new| agent = Some(new))
+                }
+            }
+            .context("the published policy does not fit this actor")?;
+            let agent = agent.as_mut().context("a policy was just loaded")?;
+            for index in 0..u64::from(config.actor.evaluate_episodes) {
+                let mut pilot = Pilot::Agent(agent, Actions::Mode);
+                let seed = evaluation_seed(config.seed, index);
+                let go_on = || !shutdown.is_cancelled();
+                let outcome = episode(env.as_mut(), &mut pilot, seed, &go_on, &mut |_, _| {})?;
+                if outcome.end_reason.is_some() {
+                    link.report(report(
+                        &options.actor_id,
+                        v1::ActorRole::Evaluate,
+                        Some(policy.version),
+                        seed,
+                        outcome,
+                    ));
+                }
+            }
+        }
+        Ok(())
+    };
+    tokio::task::spawn_blocking(actor)
+        .await
+        .context("the evaluating thread died")?
+}
+
+/// An episode in the words of the protocol.
+pub(crate) fn report(
+    actor_id: &str,
+    role: v1::ActorRole,
+    policy: Option<v1::PolicyVersion>,
+    episode_id: u64,
+    outcome: Outcome,
+) -> v1::EpisodeReport {
+    v1::EpisodeReport {
+        actor_id: actor_id.to_owned(),
+        role: role.into(),
+        policy,
+        episode_id,
+        score: outcome.score,
+        length: outcome.length,
+        end_reason: outcome
+            .end_reason
+            .map(|reason| reason.as_str().to_owned())
+            .unwrap_or_default(),
+        metrics: outcome.metrics.into_iter().collect(),
+    }
+}

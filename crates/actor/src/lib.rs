@@ -1,0 +1,39 @@
+//! Actors: they step environments, act by the newest published policy, and hand experience to replay.
+//!
+//! - [`collect`]: samples actions and appends every step to a replay-server
+//! - [`evaluate`]: acts by the mode, never writes to replay, reports scores
+//! - [`rollout`]: one episode under any policy, for evaluation and pictures
+//!
+//! An actor is disposable. It may be killed at any moment: what it handed over and got acknowledged is kept by
+//! the replay-server, and its successor starts a new epoch.
+
+mod agent;
+mod chunks;
+pub mod collect;
+pub mod evaluate;
+mod learner_link;
+pub mod rollout;
+
+pub use agent::AgentPolicy;
+
+use isodream_core::{Config, EnvSpec};
+use isodream_proto::Identity;
+
+/// Settings of an actor.
+#[derive(Debug, Clone)]
+pub struct ActorOptions {
+    /// The run's configuration.
+    pub config: Config,
+    /// Stable name, unique in the run.
+    pub actor_id: String,
+    /// The replay-server, `host:port`; unused by an evaluating actor.
+    pub replay: String,
+    /// The learner, `host:port`.
+    pub learner: String,
+}
+
+impl ActorOptions {
+    fn identity(&self, spec: &EnvSpec) -> Identity {
+        Identity::new(spec, self.config.model_hash())
+    }
+}

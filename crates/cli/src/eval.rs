@@ -1,0 +1,172 @@
+//! `isodream eval`: a trained policy beside scripted drivers, all on the same seeds.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use clap::Args;
+use isodream_actor::AgentPolicy;
+use isodream_actor::rollout::{Outcome, Pilot, episode};
+use isodream_core::derive_seed;
+use isodream_envs::ScriptedDriver;
+use isodream_learner::checkpoint::Checkpoint;
+use isodream_model::Actions;
+use serde::Serialize;
+
+/// Options of `isodream eval`.
+#[derive(Debug, Args)]
+pub(crate) struct EvalArgs {
+    /// A run directory or a checkpoint folder
+    #[arg(long)]
+    checkpoint: PathBuf,
+    /// Episodes per policy
+    #[arg(long, default_value_t = 10)]
+    episodes: u64,
+    /// Print JSON instead of a table
+    #[arg(long)]
+    json: bool,
+}
+
+/// What one policy came to.
+#[derive(Debug, Serialize)]
+pub(crate) struct PolicyResult {
+    return_mean: f64,
+    return_std: f64,
+    collisions_mean: f64,
+    distance_m_mean: f64,
+    length_mean: f64,
+    returns: Vec<f64>,
+    end_reasons: BTreeMap<String, usize>,
+}
+
+/// All policies on the same seeds.
+#[derive(Debug, Serialize)]
+pub(crate) struct Evaluation {
+    env: String,
+    episodes: u64,
+    updates: u64,
+    env_frames: u64,
+    policies: BTreeMap<String, PolicyResult>,
+}
+
+/// Runs the command.
+pub(crate) fn run(args: &EvalArgs) -> anyhow::Result<()> {
+    let evaluation = evaluate(&args.checkpoint, args.episodes)?;
+    let text = if args.json {
+        serde_json::to_string_pretty(&evaluation)?
+    } else {
+        evaluation.table()
+    };
+    print(&text);
+    Ok(())
+}
+
+/// What a command was asked to print.
+#[allow(clippy::print_stdout)] // the one place where results go to standard output
+pub(crate) fn print(text: &str) {
+    println!("{text}");
+}
+
+/// Evaluates the newest checkpoint in `path`.
+pub(crate) fn evaluate(path: &Path, episodes: u64) -> anyhow::Result<Evaluation> {
+    let checkpoint = Checkpoint::find(path)?;
+    let config = &checkpoint.config;
+    let mut env = isodream_envs::make(&config.env)?;
+    let spec = env.spec().clone();
+    tch::manual_seed(derive_seed(config.seed, &["eval", "noise"]) as i64);
+    let mut agent = AgentPolicy::new(config, &spec, 1, &checkpoint.model)
+        .context("the checkpoint does not fit its own configuration")?;
+    let seeds: Vec<u64> = (0..episodes)
+        .map(|i| derive_seed(config.seed, &["eval", &i.to_string()]))
+        .collect();
+
+    let mut policies = BTreeMap::new();
+    let mut outcomes = Vec::new();
+    for &seed in &seeds {
+        let mut pilot = Pilot::Agent(&mut agent, Actions::Mode);
+        outcomes.push(episode(
+            env.as_mut(),
+            &mut pilot,
+            seed,
+            &|| true,
+            &mut |_, _| {},
+        )?);
+    }
+    policies.insert("trained".to_owned(), PolicyResult::new(&outcomes));
+    for scripted in ScriptedDriver::ALL {
+        let mut outcomes = Vec::new();
+        for &seed in &seeds {
+            let mut driver = scripted.driver(seed);
+            let mut pilot = Pilot::Driver(driver.as_mut());
+            outcomes.push(episode(
+                env.as_mut(),
+                &mut pilot,
+                seed,
+                &|| true,
+                &mut |_, _| {},
+            )?);
+        }
+        policies.insert(scripted.as_str().to_owned(), PolicyResult::new(&outcomes));
+    }
+    Ok(Evaluation {
+        env: spec.to_string(),
+        episodes,
+        updates: checkpoint.counters.updates,
+        env_frames: checkpoint.counters.env_frames,
+        policies,
+    })
+}
+
+impl PolicyResult {
+    fn new(outcomes: &[Outcome]) -> Self {
+        let count = outcomes.len().max(1) as f64;
+        let mean =
+            |value: &dyn Fn(&Outcome) -> f64| outcomes.iter().map(value).sum::<f64>() / count;
+        let metric = |name: &'static str| {
+            mean(&|o: &Outcome| o.metrics.get(name).copied().unwrap_or(f64::NAN))
+        };
+        let return_mean = mean(&|o| o.score);
+        let mut end_reasons = BTreeMap::new();
+        for reason in outcomes.iter().filter_map(|o| o.end_reason) {
+            *end_reasons.entry(reason.to_string()).or_default() += 1;
+        }
+        Self {
+            return_mean,
+            return_std: mean(&|o| (o.score - return_mean).powi(2)).sqrt(),
+            collisions_mean: metric("collisions"),
+            distance_m_mean: metric("distance_m"),
+            length_mean: mean(&|o| f64::from(o.length)),
+            returns: outcomes.iter().map(|o| o.score).collect(),
+            end_reasons,
+        }
+    }
+}
+
+impl Evaluation {
+    /// For people.
+    pub(crate) fn table(&self) -> String {
+        let mut text = format!(
+            "{} episodes of {} after {} updates, {} environment frames\n{:<10} {:>18} {:>11} {:>12} {:>8}\n",
+            self.episodes,
+            self.env,
+            self.updates,
+            self.env_frames,
+            "policy",
+            "return",
+            "collisions",
+            "distance m",
+            "length"
+        );
+        for name in ["trained", "overtake", "keep_lane", "random"] {
+            let Some(result) = self.policies.get(name) else {
+                continue;
+            };
+            let score = format!("{:.1} +- {:.1}", result.return_mean, result.return_std);
+            text += &format!(
+                "{name:<10} {score:>18} {:>11.1} {:>12.0} {:>8.0}\n",
+                result.collisions_mean, result.distance_m_mean, result.length_mean
+            );
+        }
+        text
+    }
+}

@@ -1,0 +1,265 @@
+//! `isodream imagine`: open-loop prediction as pictures, and how well the branches separate in numbers.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, ensure};
+use clap::Args;
+use isodream_actor::AgentPolicy;
+use isodream_actor::rollout::{Pilot, Recording, record};
+use isodream_core::{Steps, derive_seed};
+use isodream_envs::class;
+use isodream_learner::checkpoint::Checkpoint;
+use isodream_model::agent::Agent;
+use isodream_model::open_loop::{OpenLoop, open_loop};
+use isodream_model::{Actions, Batch};
+use isodream_telemetry::{Rgb, write_mp4};
+use serde::Serialize;
+use tch::{Device, Kind, Tensor};
+
+use crate::eval::print;
+
+/// Frames with observations before the prediction begins, as in the paper.
+const CONTEXT: i64 = 5;
+/// Frames of a sequence, as in the paper.
+const LENGTH: usize = 50;
+/// Columns of the still picture.
+const SHOWN: [usize; 9] = [0, 4, 5, 9, 14, 19, 29, 39, 49];
+
+/// Options of `isodream imagine`.
+#[derive(Debug, Args)]
+pub(crate) struct ImagineArgs {
+    /// A run directory or a checkpoint folder
+    #[arg(long)]
+    checkpoint: PathBuf,
+    /// Where the pictures go
+    #[arg(long, default_value = "imagine")]
+    out: PathBuf,
+    /// Episodes on held-out seeds; the first one is drawn
+    #[arg(long, default_value_t = 8)]
+    episodes: u64,
+}
+
+/// How much of each branch's mask lies on the vehicles that the simulator knows of.
+#[derive(Debug, Serialize)]
+struct Separation {
+    /// Pixels that show other vehicles, of all.
+    vehicle_share: f64,
+    controllable: MaskRatio,
+    noncontrollable: MaskRatio,
+}
+
+/// A branch's mean mask inside and outside true vehicle pixels.
+#[derive(Debug, Serialize)]
+struct MaskRatio {
+    inside: f64,
+    outside: f64,
+    ratio: f64,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    sequences: usize,
+    /// Latents from observations throughout.
+    reconstruction: Separation,
+    /// Latents from observations for the context, then from actions alone.
+    open_loop: Separation,
+    /// Mean absolute pixel error of the open-loop prediction, in 1/255.
+    open_loop_error: f64,
+}
+
+/// Runs the command.
+pub(crate) fn run(args: &ImagineArgs) -> anyhow::Result<()> {
+    let checkpoint = Checkpoint::find(&args.checkpoint)?;
+    let config = &checkpoint.config;
+    let mut env = isodream_envs::make(&config.env)?;
+    let spec = env.spec().clone();
+    tch::manual_seed(derive_seed(config.seed, &["imagine", "noise"]) as i64);
+    let mut driver = AgentPolicy::new(config, &spec, 1, &checkpoint.model)?;
+    let mut agent = Agent::new(config, &spec, Device::Cpu);
+    agent.load(
+        &checkpoint.model,
+        &checkpoint.optimizer,
+        checkpoint.counters.updates,
+    )?;
+
+    let mut sequences = Vec::new();
+    let mut classes = Vec::new();
+    for index in 0..args.episodes {
+        let seed = derive_seed(config.seed, &["imagine", &index.to_string()]);
+        let mut pilot = Pilot::Agent(&mut driver, Actions::Sample);
+        let (_, recording) = record(env.as_mut(), &mut pilot, seed)?;
+        sequences.extend(window(&recording).map(|(steps, truth)| {
+            classes.extend(truth);
+            steps
+        }));
+    }
+    ensure!(
+        !sequences.is_empty(),
+        "none of {} episodes lasted {LENGTH} steps; give more --episodes or train longer",
+        args.episodes
+    );
+    let side = config.env.image_size as i64;
+    let batch = Batch::new(&sequences, side, Device::Cpu);
+    let truth = Tensor::from_slice(&classes).view([-1, 1, side, side]);
+    let reconstructed = open_loop(&agent.world, &batch, LENGTH as i64);
+    let predicted = open_loop(&agent.world, &batch, CONTEXT);
+    let error = (&predicted.composition.image - batch.images.flatten(0, 1))
+        .abs()
+        .mean(Kind::Float);
+    let report = Report {
+        sequences: sequences.len(),
+        reconstruction: separation(&reconstructed, &truth),
+        open_loop: separation(&predicted, &truth),
+        open_loop_error: error.double_value(&[]) * 255.0,
+    };
+
+    std::fs::create_dir_all(&args.out)
+        .with_context(|| format!("cannot create {}", args.out.display()))?;
+    let frames = Panel::new(&batch, &predicted);
+    frames.still().save_png(&args.out.join("open_loop.png"))?;
+    let video: Vec<Rgb> = (0..LENGTH).map(|t| frames.moment(t)).collect();
+    write_mp4(&args.out.join("open_loop.mp4"), &video, 5.0)?;
+    let text = serde_json::to_string_pretty(&report)?;
+    std::fs::write(args.out.join("separation.json"), &text)
+        .with_context(|| format!("cannot write into {}", args.out.display()))?;
+    print(&text);
+    tracing::info!(folder = %args.out.display(), "wrote open_loop.png, open_loop.mp4 and separation.json");
+    Ok(())
+}
+
+/// The middle of an episode, where traffic is under way.
+fn window(recording: &Recording) -> Option<(Steps, Vec<u8>)> {
+    let all = &recording.steps;
+    let first = all.len.checked_sub(LENGTH)? / 2;
+    let mut steps = Steps::new(all.image_bytes, all.action_dim);
+    steps.extend(all, first..first + LENGTH);
+    let pixels = recording.classes.len() / all.len;
+    Some((
+        steps,
+        recording.classes[first * pixels..(first + LENGTH) * pixels].to_vec(),
+    ))
+}
+
+fn separation(prediction: &OpenLoop, classes: &Tensor) -> Separation {
+    let vehicle = classes.eq(i64::from(class::VEHICLE)).to_kind(Kind::Float);
+    let other: Tensor = 1.0 - &vehicle;
+    let mean_over = |mask: &Tensor, area: &Tensor| {
+        ((mask * area).sum(Kind::Double) / area.sum(Kind::Double)).double_value(&[])
+    };
+    let ratio = |mask: &Tensor| {
+        let (inside, outside) = (mean_over(mask, &vehicle), mean_over(mask, &other));
+        MaskRatio {
+            inside,
+            outside,
+            ratio: inside / outside,
+        }
+    };
+    Separation {
+        vehicle_share: vehicle.mean(Kind::Double).double_value(&[]),
+        controllable: ratio(&prediction.composition.controllable.mask),
+        noncontrollable: ratio(&prediction.composition.noncontrollable.mask),
+    }
+}
+
+/// The first sequence as rows of pictures.
+struct Panel {
+    rows: Vec<(&'static str, Vec<Rgb>)>,
+}
+
+impl Panel {
+    fn new(batch: &Batch, prediction: &OpenLoop) -> Self {
+        let composition = &prediction.composition;
+        let truth = batch.images.select(0, 0);
+        let first = |x: &Tensor| x.narrow(0, 0, LENGTH as i64);
+        let (s, z) = (&composition.controllable, &composition.noncontrollable);
+        let error = (first(&composition.image) - &truth).abs() - 0.5;
+        let background: Tensor = 1.0 - first(&s.mask) - first(&z.mask);
+        Self {
+            rows: vec![
+                ("truth", pictures(&truth)),
+                ("prediction", pictures(&first(&composition.image))),
+                ("error", pictures(&error)),
+                ("controllable", pictures(&first(&s.rgb))),
+                ("mask s", masks(&first(&s.mask))),
+                ("noncontrollable", pictures(&first(&z.rgb))),
+                ("mask z", masks(&first(&z.mask))),
+                ("static", pictures(&first(&composition.background))),
+                ("mask b", masks(&background)),
+            ],
+        }
+    }
+
+    /// Chosen frames side by side.
+    fn still(&self) -> Rgb {
+        let rows: Vec<Vec<Rgb>> = self
+            .rows
+            .iter()
+            .map(|(name, frames)| {
+                SHOWN
+                    .iter()
+                    .map(|&t| frames[t].upscale(2).labelled(&label(name, t)))
+                    .collect()
+            })
+            .collect();
+        Rgb::tile(&rows, 4)
+    }
+
+    /// All rows at one time, three by three.
+    fn moment(&self, t: usize) -> Rgb {
+        let cells: Vec<Rgb> = self
+            .rows
+            .iter()
+            .map(|(name, frames)| frames[t].upscale(3).labelled(&label(name, t)))
+            .collect();
+        let rows: Vec<Vec<Rgb>> = cells.chunks(3).map(<[Rgb]>::to_vec).collect();
+        Rgb::tile(&rows, 4)
+    }
+}
+
+fn label(name: &str, t: usize) -> String {
+    let phase = if (t as i64) < CONTEXT {
+        "seen"
+    } else {
+        "open loop"
+    };
+    match name {
+        "prediction" => format!("{name} {t} {phase}"),
+        "truth" => format!("{name} {t}"),
+        _ => name.to_owned(),
+    }
+}
+
+/// `[T, 3, H, W]` in `[-0.5, 0.5]`.
+fn pictures(x: &Tensor) -> Vec<Rgb> {
+    let (height, width) = (x.size()[2] as usize, x.size()[3] as usize);
+    let bytes = ((x + 0.5) * 255.0)
+        .clamp(0.0, 255.0)
+        .to_kind(Kind::Uint8)
+        .permute([0, 2, 3, 1])
+        .contiguous();
+    bytes
+        .unbind(0)
+        .iter()
+        .map(|picture| {
+            let mut data = vec![0; height * width * 3];
+            let count = data.len();
+            picture.copy_data_u8(&mut data, count);
+            Rgb::new(width, height, data)
+        })
+        .collect()
+}
+
+/// `[T, 1, H, W]`, drawn from 0 (dark) to 1 (bright).
+fn masks(x: &Tensor) -> Vec<Rgb> {
+    let (height, width) = (x.size()[2] as usize, x.size()[3] as usize);
+    x.contiguous()
+        .unbind(0)
+        .iter()
+        .map(|mask| {
+            let mut values = vec![0.0; height * width];
+            let count = values.len();
+            mask.contiguous().copy_data(&mut values, count);
+            Rgb::heat(width, height, &values)
+        })
+        .collect()
+}

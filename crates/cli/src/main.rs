@@ -1,0 +1,76 @@
+//! Iso-Dream++: world models with isolated imaginations, distributed.
+//!
+//! `isodream train` starts every role as a process of its own on this machine; `replay`, `learner` and `actor`
+//! start one role, anywhere. `eval`, `imagine` and `report` look at what a run has learned.
+
+mod config_args;
+mod eval;
+mod imagine;
+mod report;
+mod roles;
+mod train;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use isodream_telemetry::{LogFormat, init_logging};
+
+/// Model-based reinforcement learning with isolated imaginations (Iso-Dream++)
+#[derive(Debug, Parser)]
+#[command(name = "isodream", version, about)]
+struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Train: start all roles on this machine, show progress, end with a summary. The same command resumes
+    Train(train::TrainArgs),
+    /// Run one replay-server
+    Replay(roles::ReplayArgs),
+    /// Run the learner
+    Learner(roles::LearnerArgs),
+    /// Run one actor
+    Actor(roles::ActorArgs),
+    /// Compare a trained policy with scripted drivers on the same seeds
+    Eval(eval::EvalArgs),
+    /// Draw what the world model predicts, and measure how well its branches separate
+    Imagine(imagine::ImagineArgs),
+    /// Draw the learning curves of runs
+    Report(report::ReportArgs),
+}
+
+fn main() -> ExitCode {
+    let args = Args::parse();
+    match run(args.command) {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(command: Command) -> anyhow::Result<ExitCode> {
+    let filter = match &command {
+        Command::Train(_) => "warn",
+        _ => "info",
+    };
+    init_logging(filter, LogFormat::Text)?;
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build()?;
+    let result = match command {
+        Command::Train(args) => runtime.block_on(train::run(args)),
+        Command::Replay(args) => runtime.block_on(roles::replay(args)),
+        Command::Learner(args) => runtime.block_on(roles::learner(args)),
+        Command::Actor(args) => runtime.block_on(roles::actor(args)),
+        Command::Eval(args) => eval::run(&args),
+        Command::Imagine(args) => imagine::run(&args),
+        Command::Report(args) => report::run(&args),
+    };
+    // A reader of standard input cannot be interrupted; it must not hold up the end.
+    runtime.shutdown_background();
+    result.map(|()| ExitCode::SUCCESS)
+}

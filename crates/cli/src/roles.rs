@@ -1,0 +1,188 @@
+//! One role per process.
+
+use std::path::PathBuf;
+
+use anyhow::bail;
+use clap::{Args, ValueEnum};
+use isodream_actor::ActorOptions;
+use isodream_core::Config;
+use isodream_learner::{Finished, LearnerOptions};
+use isodream_replay::{LimiterOptions, StoreOptions};
+use isodream_replay_server::ServerOptions;
+use isodream_rpc::shutdown_on_signal;
+use tokio_util::sync::CancellationToken;
+
+use crate::config_args::ConfigArgs;
+
+/// What all roles take.
+#[derive(Debug, Args)]
+pub(crate) struct RoleArgs {
+    #[command(flatten)]
+    config: ConfigArgs,
+    /// Stop when standard input closes, as it does when the process that started this one dies
+    #[arg(long)]
+    supervised: bool,
+}
+
+impl RoleArgs {
+    /// A token that a signal cancels, or the end of the supervisor.
+    fn shutdown(&self) -> anyhow::Result<CancellationToken> {
+        let token = shutdown_on_signal()?;
+        if self.supervised {
+            let cancelled = token.clone();
+            std::thread::Builder::new()
+                .name("supervision".into())
+                .spawn(move || {
+                    // Nothing is ever written: reading returns when the other end is gone.
+                    let _ = std::io::copy(&mut std::io::stdin(), &mut std::io::sink());
+                    cancelled.cancel();
+                })?;
+        }
+        Ok(token)
+    }
+}
+
+/// Options of `isodream replay`.
+#[derive(Debug, Args)]
+pub(crate) struct ReplayArgs {
+    #[command(flatten)]
+    role: RoleArgs,
+    /// Where experience is stored
+    #[arg(long)]
+    dir: PathBuf,
+    /// Where to listen
+    #[arg(long, default_value = "127.0.0.1:7001")]
+    listen: String,
+}
+
+/// Options of `isodream learner`.
+#[derive(Debug, Args)]
+pub(crate) struct LearnerArgs {
+    #[command(flatten)]
+    role: RoleArgs,
+    /// Where checkpoints and metrics go
+    #[arg(long)]
+    run_dir: PathBuf,
+    /// Where to listen
+    #[arg(long, default_value = "127.0.0.1:7002")]
+    listen: String,
+    /// The replay-server
+    #[arg(long, default_value = "127.0.0.1:7001")]
+    replay: String,
+    /// Where tensors live
+    #[arg(long, value_enum, default_value_t = DeviceArg::Auto)]
+    device: DeviceArg,
+}
+
+/// A device by name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum DeviceArg {
+    /// CUDA where there is one, else the CPU
+    Auto,
+    /// The CPU
+    Cpu,
+    /// The first CUDA device
+    Cuda,
+}
+
+impl DeviceArg {
+    fn resolve(self) -> anyhow::Result<tch::Device> {
+        match self {
+            Self::Auto => Ok(tch::Device::cuda_if_available()),
+            Self::Cpu => Ok(tch::Device::Cpu),
+            Self::Cuda if tch::Cuda::is_available() => Ok(tch::Device::Cuda(0)),
+            Self::Cuda => bail!(
+                "no CUDA device: libtorch finds none; preload libtorch_cuda.so of the same version, or use --device cpu"
+            ),
+        }
+    }
+}
+
+/// What an actor is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Role {
+    /// Sample actions and append every step to replay
+    Collect,
+    /// Take the most likely actions and report scores
+    Evaluate,
+}
+
+/// Options of `isodream actor`.
+#[derive(Debug, Args)]
+pub(crate) struct ActorArgs {
+    #[command(flatten)]
+    role: RoleArgs,
+    /// What the actor is for
+    #[arg(long = "role", value_enum, default_value_t = Role::Collect)]
+    kind: Role,
+    /// Name, unique in the run
+    #[arg(long)]
+    id: String,
+    /// The replay-server
+    #[arg(long, default_value = "127.0.0.1:7001")]
+    replay: String,
+    /// The learner
+    #[arg(long, default_value = "127.0.0.1:7002")]
+    learner: String,
+}
+
+/// Runs a replay-server until it is told to stop.
+pub(crate) async fn replay(args: ReplayArgs) -> anyhow::Result<()> {
+    let config = args.role.config.load()?;
+    let shutdown = args.role.shutdown()?;
+    let listener = isodream_rpc::bind(&args.listen).await?;
+    isodream_replay_server::serve(server_options(&config, args.dir), listener, shutdown).await
+}
+
+fn server_options(config: &Config, folder: PathBuf) -> ServerOptions {
+    let batches = config.replay.limiter_tolerance_batches;
+    ServerOptions {
+        folder,
+        store: StoreOptions {
+            capacity_steps: match config.replay.capacity_steps {
+                0 => u64::MAX,
+                steps => steps,
+            },
+            segment_bytes: config.replay.segment_bytes,
+        },
+        limiter: LimiterOptions {
+            min_steps: config.learner.prefill_steps,
+            samples_per_insert: config.samples_per_insert(),
+            tolerance_steps: batches * config.batch_steps() as f64,
+        },
+    }
+}
+
+/// Runs the learner until all updates are made or it is told to stop.
+pub(crate) async fn learner(args: LearnerArgs) -> anyhow::Result<()> {
+    let config = args.role.config.load()?;
+    let shutdown = args.role.shutdown()?;
+    let spec = isodream_envs::spec(&config.env)?;
+    let options = LearnerOptions {
+        config,
+        spec,
+        run_dir: args.run_dir,
+        listen: args.listen,
+        replay: args.replay,
+        device: args.device.resolve()?,
+    };
+    match isodream_learner::run(options, shutdown).await? {
+        Finished::Trained | Finished::Stopped => Ok(()),
+    }
+}
+
+/// Runs one actor until it is told to stop.
+pub(crate) async fn actor(args: ActorArgs) -> anyhow::Result<()> {
+    let config = args.role.config.load()?;
+    let shutdown = args.role.shutdown()?;
+    let options = ActorOptions {
+        config,
+        actor_id: args.id,
+        replay: args.replay,
+        learner: args.learner,
+    };
+    match args.kind {
+        Role::Collect => isodream_actor::collect::run(options, shutdown).await,
+        Role::Evaluate => isodream_actor::evaluate::run(options, shutdown).await,
+    }
+}

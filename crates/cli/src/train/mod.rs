@@ -1,0 +1,178 @@
+//! `isodream train`: all roles on this machine, supervised, with live progress.
+//!
+//! Nothing here trains: it starts the roles as processes with loopback addresses, restarts those that die, shows
+//! what they say of themselves, and evaluates the result.
+
+mod processes;
+mod progress;
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, ensure};
+use clap::Args;
+use isodream_core::Config;
+use isodream_rpc::shutdown_on_signal;
+
+use crate::config_args::ConfigArgs;
+use crate::eval::{evaluate, print};
+use processes::{Process, Processes};
+use progress::Progress;
+
+/// How often processes are looked after and the display is renewed.
+const TICK: Duration = Duration::from_millis(250);
+
+/// Options of `isodream train`.
+#[derive(Debug, Args)]
+pub(crate) struct TrainArgs {
+    #[command(flatten)]
+    config: ConfigArgs,
+    /// Where everything of the run lies; an existing one is resumed
+    #[arg(long)]
+    run_dir: PathBuf,
+    /// Episodes of the final comparison; 0 leaves it out
+    #[arg(long, default_value_t = 10)]
+    eval_episodes: u64,
+    /// Stop after this many minutes, with a checkpoint and the final comparison; the same command goes on
+    #[arg(long)]
+    minutes: Option<f64>,
+    /// Where the replay-server listens; a free port by default
+    #[arg(long, default_value = "127.0.0.1:0")]
+    replay_listen: String,
+    /// Where the learner listens; a free port by default
+    #[arg(long, default_value = "127.0.0.1:0")]
+    learner_listen: String,
+}
+
+/// Runs the command.
+pub(crate) async fn run(args: TrainArgs) -> anyhow::Result<()> {
+    let config = resolve(&args.config, &args.run_dir)?;
+    let config_path = args.run_dir.join("config.toml");
+    std::fs::create_dir_all(args.run_dir.join("logs"))
+        .and_then(|()| std::fs::write(&config_path, config.to_toml()))
+        .with_context(|| format!("cannot write the run directory {}", args.run_dir.display()))?;
+    // Wrong environments are told before anything starts.
+    isodream_envs::make(&config.env)?;
+
+    let replay = fixed_address(&args.replay_listen).await?;
+    let learner = fixed_address(&args.learner_listen).await?;
+    let shutdown = shutdown_on_signal()?;
+    let mut processes = Processes::new(&args.run_dir);
+    let path = |path: &Path| path.display().to_string();
+    let with_config = |role: &str, more: &[&str]| {
+        let mut all = vec![
+            role.to_owned(),
+            "--config".into(),
+            path(&config_path),
+            "--supervised".into(),
+        ];
+        all.extend(more.iter().map(|&arg| arg.to_owned()));
+        all
+    };
+    let store = path(&args.run_dir.join("replay"));
+    processes.add(Process::new(
+        "replay",
+        with_config("replay", &["--dir", &store, "--listen", &replay]),
+    ));
+    let run_dir = path(&args.run_dir);
+    let learner_args = [
+        "--run-dir",
+        &run_dir,
+        "--listen",
+        &learner,
+        "--replay",
+        &replay,
+    ];
+    processes.add(Process::new(
+        "learner",
+        with_config("learner", &learner_args),
+    ));
+    let actor = |id: &str, role: &str| {
+        let args = [
+            "--id",
+            id,
+            "--role",
+            role,
+            "--replay",
+            &replay,
+            "--learner",
+            &learner,
+        ];
+        Process::new(id, with_config("actor", &args))
+    };
+    for index in 0..config.actor.collectors {
+        processes.add(actor(&format!("actor-{index}"), "collect"));
+    }
+    processes.add(actor("evaluator", "evaluate"));
+
+    let started = Instant::now();
+    let mut progress = Progress::new(&config, &replay, &learner)?;
+    let limit = args
+        .minutes
+        .map(|minutes| Duration::from_secs_f64(60.0 * minutes));
+    let ended = loop {
+        if let Err(error) = processes.tend() {
+            processes.stop().await;
+            return Err(error);
+        }
+        if processes.finished("learner") {
+            break "training is finished";
+        }
+        if limit.is_some_and(|limit| started.elapsed() > limit) {
+            break "time is up; the same command goes on from here";
+        }
+        progress.refresh(&processes).await;
+        tokio::select! {
+            () = shutdown.cancelled() => {}
+            () = tokio::time::sleep(TICK) => {}
+        }
+        if shutdown.is_cancelled() {
+            break "interrupted; the same command goes on from here";
+        }
+    };
+    progress.close();
+    processes.stop().await;
+    eprintln!(
+        "{ended} ({:.0} s, {})",
+        started.elapsed().as_secs_f64(),
+        args.run_dir.display()
+    );
+    if shutdown.is_cancelled() || args.eval_episodes == 0 {
+        return Ok(());
+    }
+    eprintln!("evaluating {} episodes per policy ...", args.eval_episodes);
+    let evaluation = tokio::task::block_in_place(|| evaluate(&args.run_dir, args.eval_episodes))?;
+    let file = args.run_dir.join("evaluation.json");
+    std::fs::write(&file, serde_json::to_string_pretty(&evaluation)?)
+        .with_context(|| format!("cannot write {}", file.display()))?;
+    print(&evaluation.table());
+    Ok(())
+}
+
+/// The run's configuration: what is asked for, or what the run directory already has.
+fn resolve(asked: &ConfigArgs, run_dir: &Path) -> anyhow::Result<Config> {
+    let stored = run_dir.join("config.toml");
+    if !stored.exists() {
+        return Ok(asked.load()?);
+    }
+    let old = Config::from_file(&stored)?;
+    if asked.is_empty() {
+        return Ok(old);
+    }
+    let new = asked.load()?;
+    ensure!(
+        new.env == old.env && new.model_hash() == old.model_hash(),
+        "{} holds a run with other [env] or [model] settings; choose another --run-dir, or leave the settings out to resume",
+        run_dir.display()
+    );
+    Ok(new)
+}
+
+/// `address` with port 0 replaced by a free port, which restarted roles can then come back to.
+async fn fixed_address(address: &str) -> anyhow::Result<String> {
+    let listener = isodream_rpc::bind(address).await?;
+    Ok(listener
+        .local_addr()
+        .context("the listener has no address")?
+        .to_string())
+}

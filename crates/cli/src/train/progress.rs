@@ -1,0 +1,199 @@
+//! What people see while a run trains: a line per role, and why anything waits.
+
+use std::io::IsTerminal;
+use std::time::{Duration, Instant};
+
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+use isodream_core::Config;
+use isodream_proto::v1;
+use isodream_rpc::{learner_client, replay_client};
+
+use super::processes::{Process, Processes};
+
+/// Pause between two lines where there is no terminal to draw on.
+const PLAIN_INTERVAL: Duration = Duration::from_secs(15);
+
+/// How long a role may take to answer.
+const ANSWER_DEADLINE: Duration = Duration::from_millis(500);
+
+/// Asks the roles how they are and draws their answers.
+pub(crate) struct Progress {
+    bars: MultiProgress,
+    lines: Vec<ProgressBar>,
+    learner: String,
+    replay: String,
+    total_updates: u64,
+    action_repeat: u64,
+    terminal: bool,
+    next_plain: Instant,
+}
+
+/// The newest answers; none from a role that is not up.
+struct Answers {
+    learner: Option<v1::LearnerStatus>,
+    replay: Option<v1::ReplayStatus>,
+}
+
+impl Progress {
+    pub(crate) fn new(config: &Config, replay: &str, learner: &str) -> anyhow::Result<Self> {
+        // Wrong addresses are told before anything starts.
+        learner_client(learner)?;
+        replay_client(replay)?;
+        Ok(Self {
+            bars: MultiProgress::new(),
+            lines: Vec::new(),
+            learner: learner.to_owned(),
+            replay: replay.to_owned(),
+            total_updates: config.total_updates(),
+            action_repeat: u64::from(config.env.action_repeat),
+            terminal: std::io::stderr().is_terminal(),
+            next_plain: Instant::now() + PLAIN_INTERVAL,
+        })
+    }
+
+    /// Renews the display.
+    pub(crate) async fn refresh(&mut self, processes: &Processes) {
+        if !self.terminal && Instant::now() < self.next_plain {
+            return;
+        }
+        let answers = self.ask().await;
+        if self.terminal {
+            self.draw(processes, &answers);
+        } else {
+            self.next_plain = Instant::now() + PLAIN_INTERVAL;
+            for process in processes.iter() {
+                let line = self.line(process, &answers);
+                eprintln!("{:<10} {line}", process.name());
+            }
+        }
+    }
+
+    /// Leaves the last state on the screen.
+    pub(crate) fn close(&self) {
+        for line in &self.lines {
+            line.abandon();
+        }
+    }
+
+    async fn ask(&self) -> Answers {
+        let learner = async {
+            let mut client = learner_client(&self.learner).ok()?;
+            Some(
+                client
+                    .status(v1::LearnerStatusRequest {})
+                    .await
+                    .ok()?
+                    .into_inner(),
+            )
+        };
+        let replay = async {
+            let mut client = replay_client(&self.replay).ok()?;
+            Some(
+                client
+                    .status(v1::ReplayStatusRequest {})
+                    .await
+                    .ok()?
+                    .into_inner(),
+            )
+        };
+        let (learner, replay) = tokio::join!(
+            tokio::time::timeout(ANSWER_DEADLINE, learner),
+            tokio::time::timeout(ANSWER_DEADLINE, replay)
+        );
+        Answers {
+            learner: learner.ok().flatten(),
+            replay: replay.ok().flatten(),
+        }
+    }
+
+    fn draw(&mut self, processes: &Processes, answers: &Answers) {
+        for (index, process) in processes.iter().enumerate() {
+            if index == self.lines.len() {
+                let template = match process.name() {
+                    "learner" => "{prefix:<10} [{bar:24}] {msg}",
+                    _ => "{prefix:<10} {msg}",
+                };
+                let style = ProgressStyle::with_template(template)
+                    .unwrap_or_else(|_| ProgressStyle::default_bar());
+                let bar = self.bars.add(
+                    ProgressBar::new(self.total_updates).with_style(style.progress_chars("=> ")),
+                );
+                bar.set_prefix(process.name().to_owned());
+                self.lines.push(bar);
+            }
+            let bar = &self.lines[index];
+            if let Some(learner) = &answers.learner {
+                bar.set_position(learner.updates);
+            }
+            bar.set_message(self.line(process, answers));
+            bar.tick();
+        }
+    }
+
+    fn line(&self, process: &Process, answers: &Answers) -> String {
+        let said = match process.name() {
+            "replay" => answers
+                .replay
+                .as_ref()
+                .map(|status| self.replay_line(status)),
+            "learner" => answers.learner.as_ref().map(learner_line),
+            name => answers
+                .learner
+                .as_ref()
+                .and_then(|status| actor_line(status, name)),
+        };
+        let said = said.unwrap_or_else(|| "no word yet".into());
+        match process.trouble() {
+            Some(trouble) => format!("{said}  ({trouble})"),
+            None => said,
+        }
+    }
+
+    fn replay_line(&self, status: &v1::ReplayStatus) -> String {
+        let mut line = format!(
+            "{} frames  {} steps in {} episodes  {:.0} MB",
+            status.inserted_steps * self.action_repeat,
+            status.steps,
+            status.episodes,
+            status.bytes as f64 / 1e6
+        );
+        for (side, why) in [
+            ("inserts wait", &status.insert_waiting),
+            ("samples wait", &status.sample_waiting),
+        ] {
+            if !why.is_empty() {
+                line += &format!("  {side}: {why}");
+            }
+        }
+        line
+    }
+}
+
+fn learner_line(status: &v1::LearnerStatus) -> String {
+    format!(
+        "{}/{} updates  {:.1}/s  return {}  eval {}  waited {:.0}%  {}",
+        status.updates,
+        status.total_updates,
+        status.updates_per_s,
+        score(status.collect_episodes, status.collect_score),
+        score(status.evaluate_episodes, status.evaluate_score),
+        100.0 * status.wait_share,
+        status.phase
+    )
+}
+
+fn actor_line(status: &v1::LearnerStatus, name: &str) -> Option<String> {
+    let actor = status.actors.iter().find(|actor| actor.actor_id == name)?;
+    Some(format!(
+        "{} episodes  {} frames  last return {:.1}  policy lag {} updates",
+        actor.episodes, actor.env_frames, actor.last_score, actor.policy_lag
+    ))
+}
+
+fn score(episodes: u64, value: f64) -> String {
+    if episodes == 0 {
+        "-".into()
+    } else {
+        format!("{value:.1}")
+    }
+}

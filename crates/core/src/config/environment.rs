@@ -1,0 +1,44 @@
+//! `[env]`
+
+use serde::{Deserialize, Serialize};
+
+/// How the rewards of the repeated frames make the reward of an agent step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RepeatReward {
+    /// Their mean (the authors' driving setup).
+    Mean,
+    /// Their sum (DeepMind Control).
+    Sum,
+}
+
+/// The environment and how it is stepped.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EnvConfig {
+    /// Stable name, for example `highway/day` or `highway/night`.
+    pub id: String,
+    /// Height and width of the picture in pixels; the networks take 64.
+    pub image_size: usize,
+    /// Simulator frames per agent step (R).
+    pub action_repeat: u32,
+    /// Agent steps after which an episode is cut.
+    pub time_limit: u32,
+    /// Mean or sum of the rewards over the repeated frames.
+    pub repeat_reward: RepeatReward,
+    /// Other vehicles near the ego.
+    pub vehicles: u32,
+}
+
+impl Default for EnvConfig {
+    fn default() -> Self {
+        Self {
+            id: "highway/day".into(),
+            image_size: 64,
+            action_repeat: 4,
+            time_limit: 250,
+            repeat_reward: RepeatReward::Mean,
+            vehicles: 30,
+        }
+    }
+}

@@ -1,0 +1,40 @@
+//! The configuration of a run: defaults < preset < `--config` file < `--set a.b=v`.
+//!
+//! The defaults are the paper's driving setup, so a field's default is its value in the paper (or in the
+//! authors' code where the paper is silent). An unknown key is refused with the nearest known one.
+
+mod environment;
+mod load;
+mod model;
+mod training;
+
+pub use environment::{EnvConfig, RepeatReward};
+pub use load::{ConfigError, PRESETS, Source};
+pub use model::{InverseInput, LossConfig, ModelConfig, VarianceLoss};
+pub use training::{ActorConfig, BehaviorConfig, LearnerConfig, OptimizerConfig, ReplayConfig};
+
+use serde::{Deserialize, Serialize};
+
+/// Everything a run depends on. The resolved file lies in the run directory.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Root of the seed tree.
+    pub seed: u64,
+    /// The environment.
+    pub env: EnvConfig,
+    /// Sizes and options of the networks.
+    pub model: ModelConfig,
+    /// Weights and options of the world-model losses.
+    pub loss: LossConfig,
+    /// Imagination, actor and critic.
+    pub behavior: BehaviorConfig,
+    /// Learning rates and clipping.
+    pub optimizer: OptimizerConfig,
+    /// The replay-server.
+    pub replay: ReplayConfig,
+    /// The training loop.
+    pub learner: LearnerConfig,
+    /// The actors.
+    pub actor: ActorConfig,
+}

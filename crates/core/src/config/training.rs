@@ -1,0 +1,211 @@
+//! `[behavior]`, `[optimizer]`, `[replay]`, `[learner]` and `[actor]`
+
+use serde::{Deserialize, Serialize};
+
+use super::Config;
+
+/// Imagination, actor and critic (Eq. 13, 14).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BehaviorConfig {
+    /// States per imagined trajectory, the start included (the paper's `L`).
+    pub imagination_horizon: i64,
+    /// Noncontrollable states the policy attends to, the current one included (`tau`); 0 leaves attention out.
+    pub rollout_window: i64,
+    /// `gamma`.
+    pub discount: f64,
+    /// `lambda` of the lambda-return.
+    pub lambda: f64,
+    /// Weight of the policy's entropy.
+    pub entropy_scale: f64,
+    /// Updates between hard copies of the critic into the slow critic.
+    pub slow_critic_interval: u64,
+    /// Whether the actor also receives the value's gradient through `e_t`. The authors' driving code cuts it.
+    pub value_gradient: bool,
+    /// Share of the replayed states from which imagination starts, in (0, 1].
+    pub start_share: f64,
+    /// Updates of the world model before actor and critic begin to learn. The paper's 0 lets the actor chase
+    /// the rewards of an untrained model, which short runs do not recover from.
+    pub warmup_updates: u64,
+}
+
+impl Default for BehaviorConfig {
+    fn default() -> Self {
+        Self {
+            imagination_horizon: 15,
+            rollout_window: 5,
+            discount: 0.99,
+            lambda: 0.95,
+            entropy_scale: 1e-4,
+            slow_critic_interval: 100,
+            value_gradient: true,
+            start_share: 1.0,
+            warmup_updates: 0,
+        }
+    }
+}
+
+/// Adam and gradient clipping.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OptimizerConfig {
+    /// Learning rate of the world model.
+    pub model_lr: f64,
+    /// Learning rate of the actor.
+    pub actor_lr: f64,
+    /// Learning rate of critic and attention.
+    pub critic_lr: f64,
+    /// Adam's epsilon.
+    pub eps: f64,
+    /// Greatest global norm of a gradient.
+    pub grad_clip: f64,
+}
+
+impl Default for OptimizerConfig {
+    fn default() -> Self {
+        Self {
+            model_lr: 3e-4,
+            actor_lr: 8e-5,
+            critic_lr: 8e-5,
+            eps: 1e-5,
+            grad_clip: 100.0,
+        }
+    }
+}
+
+/// The replay-server.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ReplayConfig {
+    /// Steps kept; the oldest episodes go first. 0 keeps all.
+    pub capacity_steps: u64,
+    /// Bytes after which a log segment is closed.
+    pub segment_bytes: u64,
+    /// Steps per chunk that an actor sends.
+    pub chunk_steps: usize,
+    /// Batches that sampling may run ahead of or behind its ratio to insertion.
+    pub limiter_tolerance_batches: f64,
+}
+
+impl Default for ReplayConfig {
+    fn default() -> Self {
+        Self {
+            capacity_steps: 0,
+            segment_bytes: 64 << 20,
+            chunk_steps: 25,
+            limiter_tolerance_batches: 20.0,
+        }
+    }
+}
+
+/// The training loop.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LearnerConfig {
+    /// Sequences per batch (B).
+    pub batch_size: usize,
+    /// Steps per sequence (L); shorter episodes are stored but not trained on.
+    pub batch_length: usize,
+    /// Environment frames (action repeat counted) after which training ends.
+    pub env_frames: u64,
+    /// Agent steps collected with random actions before training starts.
+    pub prefill_steps: u64,
+    /// Updates made at once when training starts.
+    pub pretrain_updates: u64,
+    /// Updates per agent step after that.
+    pub replay_ratio: f64,
+    /// Updates between two published policies.
+    pub publish_interval: u64,
+    /// Updates between two checkpoints.
+    pub checkpoint_interval: u64,
+    /// Checkpoints kept, at least 2.
+    pub keep_checkpoints: usize,
+    /// Updates between two lines of metrics.
+    pub log_interval: u64,
+    /// Threads that decode sampled sequences.
+    pub decode_threads: usize,
+    /// Batches decoded ahead of training.
+    pub prefetch_batches: usize,
+    /// Threads of one tensor operation; 0 leaves the choice to libtorch.
+    pub threads: i32,
+}
+
+impl Default for LearnerConfig {
+    fn default() -> Self {
+        Self {
+            batch_size: 50,
+            batch_length: 50,
+            env_frames: 500_000,
+            prefill_steps: 2_500,
+            pretrain_updates: 100,
+            replay_ratio: 0.2,
+            publish_interval: 10,
+            checkpoint_interval: 500,
+            keep_checkpoints: 2,
+            log_interval: 50,
+            decode_threads: 2,
+            prefetch_batches: 3,
+            threads: 0,
+        }
+    }
+}
+
+/// The actors that `train` starts and how they act.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ActorConfig {
+    /// Collecting actors.
+    pub collectors: usize,
+    /// Environments that one actor steps as a batch.
+    pub environments: usize,
+    /// Chunks an actor holds unacknowledged before it pauses its environments.
+    pub spool_chunks: usize,
+    /// Environment frames between two evaluations.
+    pub evaluate_interval_frames: u64,
+    /// Episodes of one evaluation.
+    pub evaluate_episodes: u32,
+    /// Threads of one tensor operation in an actor.
+    pub threads: i32,
+}
+
+impl Default for ActorConfig {
+    fn default() -> Self {
+        Self {
+            collectors: 2,
+            environments: 1,
+            spool_chunks: 8,
+            evaluate_interval_frames: 5_000,
+            evaluate_episodes: 1,
+            threads: 1,
+        }
+    }
+}
+
+impl Config {
+    /// Updates of the whole run: pretraining, and the replay ratio over the agent steps after prefill.
+    pub fn total_updates(&self) -> u64 {
+        let agent_steps = self.learner.env_frames / u64::from(self.env.action_repeat);
+        let trained_steps = agent_steps.saturating_sub(self.learner.prefill_steps);
+        self.learner.pretrain_updates + (trained_steps as f64 * self.learner.replay_ratio) as u64
+    }
+
+    /// Steps in one batch.
+    pub fn batch_steps(&self) -> u64 {
+        (self.learner.batch_size * self.learner.batch_length) as u64
+    }
+
+    /// Steps drawn per step inserted: the replay ratio in the unit of the rate limiter.
+    pub fn samples_per_insert(&self) -> f64 {
+        self.learner.replay_ratio * self.batch_steps() as f64
+    }
+
+    /// Frames of a sequence that branches reconstruct from posterior samples: (controllable, noncontrollable).
+    pub fn posterior_steps(&self) -> (i64, i64) {
+        let length = self.learner.batch_length as f64;
+        let steps = |share: f64| (share * length).round() as i64;
+        (
+            steps(self.loss.controllable_posterior_share),
+            steps(self.loss.noncontrollable_posterior_share),
+        )
+    }
+}

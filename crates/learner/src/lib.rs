@@ -1,0 +1,43 @@
+//! The learner: it draws sequences from replay, trains the agent, publishes policies, and keeps checkpoints.
+//!
+//! ```text
+//! replay-server ──Sample──▶ sampler thread ──▶ decoder threads ──▶ training thread ──▶ checkpoints, metrics
+//!                                                                        │
+//!                                            actors ◀──WatchPolicy── service ◀──ReportEpisode── actors
+//! ```
+//!
+//! - [`run`]: the whole role
+//! - [`checkpoint`]: what lies in `checkpoints/` and how it is loaded
+//!
+//! A learner never touches an environment. Killed at any moment, it goes on from its newest valid checkpoint.
+
+pub mod checkpoint;
+mod progress;
+mod publisher;
+mod sampling;
+mod service;
+mod train;
+
+use std::path::PathBuf;
+
+use isodream_core::{Config, EnvSpec};
+use tch::Device;
+
+pub use train::{Finished, run};
+
+/// Settings of a learner.
+#[derive(Debug, Clone)]
+pub struct LearnerOptions {
+    /// The run's configuration.
+    pub config: Config,
+    /// The environment that actors step.
+    pub spec: EnvSpec,
+    /// Where checkpoints and metrics go.
+    pub run_dir: PathBuf,
+    /// Where actors find this learner, `host:port`.
+    pub listen: String,
+    /// The replay-server, `host:port`.
+    pub replay: String,
+    /// Where tensors live.
+    pub device: Device,
+}

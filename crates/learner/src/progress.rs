@@ -1,0 +1,180 @@
+//! What the learner knows of the run: its own pace, and the episodes that actors report.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Mutex;
+use std::time::Instant;
+
+use isodream_proto::v1;
+
+/// Episodes whose mean is shown as the collecting score.
+const SCORE_WINDOW: usize = 10;
+
+/// Reports kept for the metrics between two visits of the training thread.
+const PENDING_REPORTS: usize = 10_000;
+
+/// Shared between training thread and service.
+#[derive(Debug)]
+pub(crate) struct Progress {
+    inner: Mutex<Inner>,
+}
+
+#[derive(Debug)]
+struct Inner {
+    status: v1::LearnerStatus,
+    recent: VecDeque<f64>,
+    evaluation: Vec<f64>,
+    evaluated: Option<v1::PolicyVersion>,
+    actors: BTreeMap<String, Actor>,
+    pending: VecDeque<v1::EpisodeReport>,
+    action_repeat: u64,
+    pace: Pace,
+}
+
+#[derive(Debug)]
+struct Actor {
+    status: v1::ActorStatus,
+    policy: Option<v1::PolicyVersion>,
+}
+
+/// Rates over the time since the last sample.
+#[derive(Debug)]
+struct Pace {
+    at: Instant,
+    updates: u64,
+    frames: u64,
+}
+
+impl Progress {
+    pub(crate) fn new(
+        updates: u64,
+        total_updates: u64,
+        env_frames: u64,
+        action_repeat: u32,
+    ) -> Self {
+        Self {
+            inner: Mutex::new(Inner {
+                status: v1::LearnerStatus {
+                    updates,
+                    total_updates,
+                    env_frames,
+                    ..v1::LearnerStatus::default()
+                },
+                recent: VecDeque::new(),
+                evaluation: Vec::new(),
+                evaluated: None,
+                actors: BTreeMap::new(),
+                pending: VecDeque::new(),
+                action_repeat: u64::from(action_repeat),
+                pace: Pace {
+                    at: Instant::now(),
+                    updates,
+                    frames: env_frames,
+                },
+            }),
+        }
+    }
+
+    /// Sets what only the training thread knows.
+    pub(crate) fn set(&self, change: impl FnOnce(&mut v1::LearnerStatus)) {
+        change(&mut self.lock().status);
+    }
+
+    /// Recomputes the rates, once per second or so.
+    pub(crate) fn measure_pace(&self) {
+        let mut inner = self.lock();
+        let Inner { pace, status, .. } = &mut *inner;
+        let elapsed = pace.at.elapsed().as_secs_f64();
+        status.updates_per_s = (status.updates - pace.updates.min(status.updates)) as f64 / elapsed;
+        status.env_frames_per_s =
+            (status.env_frames - pace.frames.min(status.env_frames)) as f64 / elapsed;
+        *pace = Pace {
+            at: Instant::now(),
+            updates: status.updates,
+            frames: status.env_frames,
+        };
+    }
+
+    /// Takes in an actor's report.
+    pub(crate) fn report(&self, report: v1::EpisodeReport) {
+        let mut inner = self.lock();
+        let action_repeat = inner.action_repeat;
+        let actor = inner
+            .actors
+            .entry(report.actor_id.clone())
+            .or_insert_with(|| Actor {
+                status: v1::ActorStatus {
+                    actor_id: report.actor_id.clone(),
+                    role: report.role,
+                    ..v1::ActorStatus::default()
+                },
+                policy: None,
+            });
+        actor.status.episodes += 1;
+        actor.status.env_frames += u64::from(report.length) * action_repeat;
+        actor.status.last_score = report.score;
+        actor.policy = report.policy;
+        match report.role() {
+            v1::ActorRole::Evaluate => {
+                if inner.evaluated != report.policy {
+                    inner.evaluated = report.policy;
+                    inner.evaluation.clear();
+                }
+                inner.evaluation.push(report.score);
+                inner.status.evaluate_score = mean(inner.evaluation.iter());
+                inner.status.evaluate_episodes += 1;
+            }
+            _ => {
+                if inner.recent.len() == SCORE_WINDOW {
+                    inner.recent.pop_front();
+                }
+                inner.recent.push_back(report.score);
+                inner.status.collect_score = mean(inner.recent.iter());
+                inner.status.collect_episodes += 1;
+            }
+        }
+        if inner.pending.len() == PENDING_REPORTS {
+            inner.pending.pop_front();
+        }
+        inner.pending.push_back(report);
+    }
+
+    /// Reports since the last call.
+    pub(crate) fn take_reports(&self) -> Vec<v1::EpisodeReport> {
+        self.lock().pending.drain(..).collect()
+    }
+
+    /// Environment frames seen by replay.
+    pub(crate) fn env_frames(&self) -> u64 {
+        self.lock().status.env_frames
+    }
+
+    /// The status as actors, supervisors and people see it.
+    pub(crate) fn status(&self) -> v1::LearnerStatus {
+        let inner = self.lock();
+        let mut status = inner.status.clone();
+        let newest = status.policy.map_or(0, |policy| policy.version);
+        status.actors = inner
+            .actors
+            .values()
+            .map(|actor| v1::ActorStatus {
+                policy_lag: actor
+                    .policy
+                    .map_or(0, |policy| newest.saturating_sub(policy.version)),
+                ..actor.status.clone()
+            })
+            .collect();
+        status
+    }
+
+    fn lock(&self) -> std::sync::MutexGuard<'_, Inner> {
+        // Nothing panics while it holds the lock, and counters would be whole even then.
+        self.inner
+            .lock()
+            .unwrap_or_else(std::sync::PoisonError::into_inner)
+    }
+}
+
+fn mean<'a>(values: impl ExactSizeIterator<Item = &'a f64>) -> f64 {
+    let count = values.len() as f64;
+    values.sum::<f64>() / count
+}

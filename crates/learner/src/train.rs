@@ -1,0 +1,370 @@
+//! The training loop.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use anyhow::{Context, bail, ensure};
+use isodream_core::{Config, derive_seed};
+use isodream_model::{Agent, Batch};
+use isodream_proto::v1::learner_service_server::LearnerServiceServer;
+use isodream_proto::{Identity, v1};
+use isodream_rpc::limits::MAX_MESSAGE_BYTES;
+use isodream_rpc::{SampleClient, SampleOptions, replay_client};
+use isodream_telemetry::MetricsWriter;
+use tokio_util::sync::CancellationToken;
+
+use crate::LearnerOptions;
+use crate::checkpoint::{Checkpoint, Counters};
+use crate::progress::Progress;
+use crate::publisher::Publisher;
+use crate::sampling::{BatchShape, BatchStream};
+use crate::service::Service;
+
+/// How long the loop waits for data before it looks around (shutdown, reports, reasons).
+const PATIENCE: Duration = Duration::from_millis(200);
+
+/// How often the replay-server is asked how much it holds.
+const POLL: Duration = Duration::from_secs(1);
+
+/// Why a learner ended well.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Finished {
+    /// All updates are made.
+    Trained,
+    /// It was told to stop; the same command goes on from the checkpoint.
+    Stopped,
+}
+
+/// Trains until all updates are made or `shutdown` is cancelled, and leaves a checkpoint either way.
+///
+/// # Errors
+/// Where the port is taken, replay refuses this learner, the disk fails, no checkpoint is valid, or a loss is
+/// not finite. The last good checkpoint is kept.
+pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow::Result<Finished> {
+    let listener = isodream_rpc::bind(&options.listen).await?;
+    let config = &options.config;
+    let checkpoint = Checkpoint::load_newest(&options.run_dir.join("checkpoints"))?;
+    if let Some(checkpoint) = &checkpoint {
+        check_belongs(checkpoint, &options)?;
+    }
+    let counters = checkpoint.as_ref().map(|c| c.counters).unwrap_or_default();
+    let total = config.total_updates();
+    let progress = Arc::new(Progress::new(
+        counters.updates,
+        total,
+        counters.env_frames,
+        config.env.action_repeat,
+    ));
+    // Milliseconds since 1970: greater at every start, which is all an epoch must be.
+    let learner_epoch = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .context("the clock stands before 1970")?
+        .as_millis() as u64;
+    let publisher = Publisher::new(learner_epoch);
+    let identity = Identity::new(&options.spec, config.model_hash());
+    tracing::info!(
+        address = %listener.local_addr().context("the listener has no address")?,
+        updates = counters.updates,
+        total,
+        env = %options.spec,
+        "learner is up"
+    );
+
+    let serving = shutdown.child_token();
+    let service = LearnerServiceServer::new(Service {
+        identity: identity.clone(),
+        publisher: publisher.clone(),
+        progress: progress.clone(),
+        shutdown: serving.clone(),
+    })
+    .max_decoding_message_size(MAX_MESSAGE_BYTES)
+    .max_encoding_message_size(MAX_MESSAGE_BYTES);
+    let router = isodream_rpc::server()
+        .add_service(isodream_rpc::serving::<LearnerServiceServer<Service>>().await)
+        .add_service(service);
+    let server = tokio::spawn(isodream_rpc::serve(router, listener, serving.clone()));
+    let poll = tokio::spawn(poll_replay(
+        options.replay.clone(),
+        config.env.action_repeat,
+        progress.clone(),
+    ));
+
+    let pretrain_left = config
+        .learner
+        .pretrain_updates
+        .saturating_sub(counters.updates);
+    let client = SampleClient::start(SampleOptions {
+        address: options.replay.clone(),
+        identity,
+        sequence_length: config.learner.batch_length as u32,
+        seed: derive_seed(config.seed, &["sample", &counters.updates.to_string()]),
+        prefetch: config.learner.batch_size * config.learner.prefetch_batches,
+        sampled_steps: counters.sampled_steps,
+        unlimited_sequences: pretrain_left * config.learner.batch_size as u64,
+    })?;
+    let shape = BatchShape {
+        batch_size: config.learner.batch_size,
+        batch_length: config.learner.batch_length,
+        spec: options.spec.clone(),
+    };
+    let batches = BatchStream::start(
+        client,
+        &shape,
+        config.learner.decode_threads,
+        config.learner.prefetch_batches,
+    )?;
+    let training = Training {
+        options,
+        counters,
+        batches,
+        publisher,
+        progress,
+        waited: Duration::ZERO,
+        started: Instant::now(),
+    };
+    let stop = shutdown.clone();
+    let finished = tokio::task::spawn_blocking(move || training.run(checkpoint, &stop))
+        .await
+        .context("the training thread died")?;
+    poll.abort();
+    serving.cancel();
+    server.await.context("the learner's server died")??;
+    finished
+}
+
+/// Refuses a checkpoint of another environment or model, by name.
+fn check_belongs(checkpoint: &Checkpoint, options: &LearnerOptions) -> anyhow::Result<()> {
+    let spec = options.spec.to_string();
+    ensure!(
+        checkpoint.env_spec == spec,
+        "the checkpoint in {} is of environment {}, this run is of {spec}; choose another --run-dir",
+        options.run_dir.display(),
+        checkpoint.env_spec
+    );
+    ensure!(
+        checkpoint.config.model_hash() == options.config.model_hash(),
+        "the checkpoint in {} has other [model] settings than this run; choose another --run-dir or the old settings",
+        options.run_dir.display()
+    );
+    Ok(())
+}
+
+/// Keeps the number of environment frames and the rates true.
+async fn poll_replay(address: String, action_repeat: u32, progress: Arc<Progress>) {
+    let Ok(mut client) = replay_client(&address) else {
+        return;
+    };
+    let mut tick = tokio::time::interval(POLL);
+    loop {
+        tick.tick().await;
+        if let Ok(status) = client.status(v1::ReplayStatusRequest {}).await {
+            let frames = status.into_inner().inserted_steps * u64::from(action_repeat);
+            progress.set(|status| status.env_frames = frames);
+        }
+        progress.measure_pace();
+    }
+}
+
+struct Training {
+    options: LearnerOptions,
+    counters: Counters,
+    batches: BatchStream,
+    publisher: Publisher,
+    progress: Arc<Progress>,
+    waited: Duration,
+    started: Instant,
+}
+
+impl Training {
+    fn run(
+        mut self,
+        checkpoint: Option<Checkpoint>,
+        shutdown: &CancellationToken,
+    ) -> anyhow::Result<Finished> {
+        let config = self.options.config.clone();
+        if config.learner.threads > 0 {
+            tch::set_num_threads(config.learner.threads);
+        }
+        let mut agent = Agent::new(&config, &self.options.spec, self.options.device);
+        let resumed = checkpoint.is_some();
+        if let Some(checkpoint) = checkpoint {
+            agent
+                .load(
+                    &checkpoint.model,
+                    &checkpoint.optimizer,
+                    checkpoint.counters.updates,
+                )
+                .context("the checkpoint does not fit this configuration")?;
+            tracing::info!(
+                updates = checkpoint.counters.updates,
+                "resumed from checkpoint"
+            );
+        }
+        let resume_frames = resumed.then_some(self.counters.env_frames);
+        let mut metrics = MetricsWriter::open(&self.options.run_dir, resume_frames)?;
+        let total = config.total_updates();
+        let pretrain = config.learner.pretrain_updates;
+        if agent.updates() > pretrain {
+            self.publish(&agent);
+        }
+        let mut saved = agent.updates();
+        while agent.updates() < total && !shutdown.is_cancelled() {
+            let Some(batch) = self.next_batch(&mut metrics)? else {
+                continue;
+            };
+            self.progress.set(|status| {
+                status.phase = if status.updates < pretrain {
+                    "pretraining"
+                } else {
+                    "training"
+                }
+                .into();
+            });
+            let device = self.options.device;
+            let measured = agent.update(&Batch::new(
+                &batch.sequences,
+                config.env.image_size as i64,
+                device,
+            ));
+            self.counters.updates = agent.updates();
+            self.counters.sampled_steps = batch.sampled_steps;
+            self.counters.env_frames = self.progress.env_frames();
+            let wait_share = self.wait_share();
+            self.progress.set(|status| {
+                status.updates = agent.updates();
+                status.wait_share = wait_share;
+            });
+            let due = |interval: u64| agent.updates() % interval == 0;
+            let publishing = agent.updates() >= pretrain && due(config.learner.publish_interval);
+            let saving = due(config.learner.checkpoint_interval);
+            if publishing || saving || due(config.learner.log_interval) {
+                let values = read(&measured)?;
+                if due(config.learner.log_interval) {
+                    self.log(&mut metrics, values)?;
+                }
+            }
+            if publishing {
+                self.publish(&agent);
+            }
+            if saving {
+                self.save(&agent, &config)?;
+                saved = agent.updates();
+            }
+        }
+        if saved != agent.updates() {
+            self.save(&agent, &config)?;
+        }
+        self.write_reports(&mut metrics)?;
+        metrics.flush()?;
+        if agent.updates() < total {
+            tracing::info!(
+                updates = agent.updates(),
+                "stopped; the same command goes on from here"
+            );
+            return Ok(Finished::Stopped);
+        }
+        self.progress.set(|status| status.phase = "finished".into());
+        tracing::info!(updates = agent.updates(), "finished");
+        Ok(Finished::Trained)
+    }
+
+    /// The next batch; none if there was none yet, so that the loop can look around.
+    fn next_batch(
+        &mut self,
+        metrics: &mut MetricsWriter,
+    ) -> anyhow::Result<Option<crate::sampling::DecodedBatch>> {
+        self.write_reports(metrics)?;
+        let begun = Instant::now();
+        let batch = self.batches.next(PATIENCE)?;
+        self.waited += begun.elapsed();
+        if batch.is_none() {
+            let why = self.batches.waiting().unwrap_or_else(|| "decoding".into());
+            self.progress
+                .set(|status| status.phase = format!("waiting for data: {why}"));
+        }
+        Ok(batch)
+    }
+
+    fn wait_share(&self) -> f64 {
+        self.waited.as_secs_f64() / self.started.elapsed().as_secs_f64()
+    }
+
+    fn publish(&self, agent: &Agent) {
+        self.publisher.publish(agent.updates(), agent.publish());
+        let version = self.publisher.newest().map(|policy| policy.version);
+        self.progress.set(|status| status.policy = version);
+    }
+
+    fn save(&self, agent: &Agent, config: &Config) -> anyhow::Result<()> {
+        let checkpoint = Checkpoint {
+            counters: self.counters,
+            env_spec: self.options.spec.to_string(),
+            config: config.clone(),
+            model: agent.save_model(),
+            optimizer: agent.save_optimizer(),
+        };
+        let dir = self.options.run_dir.join("checkpoints");
+        let folder = checkpoint.save(&dir, config.learner.keep_checkpoints)?;
+        tracing::info!(folder = %folder.display(), "checkpoint");
+        Ok(())
+    }
+
+    fn log(
+        &self,
+        metrics: &mut MetricsWriter,
+        mut values: Vec<(String, f64)>,
+    ) -> anyhow::Result<()> {
+        let status = self.progress.status();
+        values.extend([
+            ("train/updates".to_owned(), status.updates as f64),
+            ("train/wait_share".to_owned(), status.wait_share),
+            ("fps/env".to_owned(), status.env_frames_per_s),
+            (
+                "fps/train".to_owned(),
+                status.updates_per_s * self.options.config.batch_steps() as f64,
+            ),
+            (
+                "replay/sampled_steps".to_owned(),
+                self.counters.sampled_steps as f64,
+            ),
+        ]);
+        metrics.scalars(self.counters.env_frames, &values)?;
+        Ok(())
+    }
+
+    /// Writes the episodes that actors reported: `episode/*` of collecting, `eval/*` of evaluating ones.
+    fn write_reports(&self, metrics: &mut MetricsWriter) -> anyhow::Result<()> {
+        for report in self.progress.take_reports() {
+            let prefix = match report.role() {
+                v1::ActorRole::Evaluate => "eval",
+                _ => "episode",
+            };
+            let mut values = vec![
+                (format!("{prefix}/score"), report.score),
+                (format!("{prefix}/length"), f64::from(report.length)),
+            ];
+            values.extend(
+                report
+                    .metrics
+                    .into_iter()
+                    .map(|(name, value)| (format!("{prefix}/{name}"), value)),
+            );
+            metrics.scalars(self.progress.env_frames(), &values)?;
+        }
+        Ok(())
+    }
+}
+
+/// Reads metrics from the device and refuses numbers that are none.
+fn read(measured: &[(&'static str, tch::Tensor)]) -> anyhow::Result<Vec<(String, f64)>> {
+    let values: Vec<(String, f64)> = measured
+        .iter()
+        .map(|(name, tensor)| ((*name).to_owned(), tensor.double_value(&[])))
+        .collect();
+    if let Some((name, value)) = values.iter().find(|(_, value)| !value.is_finite()) {
+        bail!(
+            "{name} is {value}: training diverged; the last checkpoint is kept, lower the learning rates in [optimizer]"
+        );
+    }
+    Ok(values)
+}

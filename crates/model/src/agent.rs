@@ -1,0 +1,338 @@
+//! The learning agent: all networks, their optimisers, and one training step.
+
+use isodream_core::{Config, EnvSpec, Steps, derive_seed};
+use tch::{Device, Kind, Tensor};
+
+use crate::attention::FutureAttention;
+use crate::behavior::{
+    Critic, actor_loss, critic_loss, imagine, lambda_return, starts, step_weights, trained_values,
+};
+use crate::optimizer::Adam;
+use crate::params::{LoadError, Params, tensor_of, to_safetensors};
+use crate::policy::{ActingModel, Actor, Policy, looks_ahead};
+use crate::rssm::State;
+use crate::world_model::WorldModel;
+
+/// A batch of sequences.
+#[derive(Debug)]
+pub struct Batch {
+    /// `[B, T, 3, 64, 64]` in `[-0.5, 0.5]`.
+    pub images: Tensor,
+    /// `[B, T, A]`: row t led to image t.
+    pub actions: Tensor,
+    /// `[B, T]`.
+    pub rewards: Tensor,
+    /// `[B, T]`: 0 where the episode really ended, else 1.
+    pub discounts: Tensor,
+}
+
+/// Pixels as the networks take them: `[N, H, W, 3]` bytes to `[N, 3, H, W]` floats in `[-0.5, 0.5]`, the
+/// channels adjacent in memory as they were.
+pub fn preprocess(pixels: &Tensor) -> Tensor {
+    (pixels.to_kind(Kind::Float) / 255.0 - 0.5).permute([0, 3, 1, 2])
+}
+
+impl Batch {
+    /// Makes a batch of equally long sequences of RGB images with `side` rows and columns.
+    ///
+    /// # Panics
+    /// If the sequences differ in length or sizes: a defect of the caller.
+    pub fn new(sequences: &[Steps], side: i64, device: Device) -> Self {
+        let batch = sequences.len() as i64;
+        let length = sequences[0].len as i64;
+        let column = |part: fn(&Steps) -> &Vec<f32>, width: i64| {
+            let values: Vec<f32> = sequences
+                .iter()
+                .flat_map(|s| part(s).iter().copied())
+                .collect();
+            Tensor::from_slice(&values)
+                .view([batch, length, width])
+                .to_device(device)
+        };
+        let pixels: Vec<u8> = sequences
+            .iter()
+            .flat_map(|s| s.images.iter().copied())
+            .collect();
+        let pixels = Tensor::from_slice(&pixels)
+            .view([batch * length, side, side, 3])
+            .to_device(device);
+        Self {
+            images: preprocess(&pixels).unflatten(0, [batch, length]),
+            actions: column(|s| &s.actions, sequences[0].action_dim as i64),
+            rewards: column(|s| &s.rewards, 1).squeeze_dim(-1),
+            discounts: column(|s| &s.discounts, 1).squeeze_dim(-1),
+        }
+    }
+}
+
+/// World model, actor, critic and attention with everything that training them needs.
+#[derive(Debug)]
+pub struct Agent {
+    /// The decoupled world model.
+    pub world: WorldModel,
+    actor: Actor,
+    critic: Critic,
+    slow_critic: Critic,
+    attention: Option<FutureAttention>,
+    groups: Groups,
+    acting_names: Vec<String>,
+    config: Config,
+    updates: u64,
+}
+
+#[derive(Debug)]
+struct Groups {
+    world: (Params, Adam),
+    actor: (Params, Adam),
+    critic: (Params, Adam),
+    slow_critic: Params,
+}
+
+/// A metric of one update; reading the tensor waits for the device.
+pub type Metric = (&'static str, Tensor);
+
+impl Agent {
+    /// An untrained agent; equal seeds give equal weights.
+    pub fn new(config: &Config, spec: &EnvSpec, device: Device) -> Self {
+        tch::manual_seed(derive_seed(config.seed, &["agent"]) as i64);
+        let action_dim = spec.action_dim as i64;
+        let model = &config.model;
+
+        let mut world_params = Params::new(device);
+        let world = WorldModel::new(world_params.root("world_model"), config, action_dim);
+        world_params.flatten();
+        let mut actor_params = Params::new(device);
+        let actor = Actor::new(actor_params.root("actor"), model, action_dim);
+        actor_params.flatten();
+        let mut critic_params = Params::new(device);
+        let critic = Critic::new(critic_params.root("critic"), model);
+        let attention = looks_ahead(config)
+            .then(|| FutureAttention::new(critic_params.root("attention"), model));
+        critic_params.flatten();
+        let mut slow_params = Params::new(device);
+        let slow_critic = Critic::new(slow_params.root("slow_critic"), model);
+        slow_params.flatten();
+
+        let optimizer = &config.optimizer;
+        let with_adam = |params: Params, lr: f64| {
+            let adam = Adam::new(&params, lr, optimizer);
+            (params, adam)
+        };
+        Self {
+            world,
+            actor,
+            critic,
+            slow_critic,
+            attention,
+            groups: Groups {
+                world: with_adam(world_params, optimizer.model_lr),
+                actor: with_adam(actor_params, optimizer.actor_lr),
+                critic: with_adam(critic_params, optimizer.critic_lr),
+                slow_critic: slow_params,
+            },
+            acting_names: ActingModel::new(config, spec.action_dim, Device::Cpu)
+                .names()
+                .map(str::to_owned)
+                .collect(),
+            config: config.clone(),
+            updates: 0,
+        }
+    }
+
+    /// Training steps made.
+    pub fn updates(&self) -> u64 {
+        self.updates
+    }
+
+    /// Number of scalars in (world model, actor, critic with attention).
+    pub fn parameter_counts(&self) -> (usize, usize, usize) {
+        let groups = &self.groups;
+        (
+            groups.world.0.numel(),
+            groups.actor.0.numel(),
+            groups.critic.0.numel(),
+        )
+    }
+
+    /// The policy over the newest weights.
+    pub fn policy(&self) -> Policy<'_> {
+        Policy {
+            rssm: &self.world.rssm,
+            attention: self.attention.as_ref(),
+            actor: &self.actor,
+            indicator: self.config.model.indicator,
+            window: self.config.behavior.rollout_window,
+        }
+    }
+
+    /// One training step: representation learning, then behaviour learning.
+    ///
+    /// Noise is seeded by the number of the update, so that a resumed run draws what an unbroken one would.
+    pub fn update(&mut self, batch: &Batch) -> Vec<Metric> {
+        let seed = derive_seed(self.config.seed, &["update", &self.updates.to_string()]);
+        tch::manual_seed(seed as i64);
+        if self.updates % self.config.behavior.slow_critic_interval == 0 {
+            let Groups {
+                critic,
+                slow_critic,
+                ..
+            } = &mut self.groups;
+            let values = critic.0.flat().narrow(0, 0, slow_critic.numel() as i64);
+            tch::no_grad(|| slow_critic.flat().shallow_clone().copy_(&values));
+        }
+
+        let model = self.world.loss(batch);
+        let mut metrics = model.terms;
+        let (params, adam) = &mut self.groups.world;
+        metrics.push((
+            "train/grad_norm/model",
+            adam.minimize(&model.total, params, false),
+        ));
+
+        if self.updates >= self.config.behavior.warmup_updates {
+            metrics.extend(self.learn_behavior(&model.states));
+        }
+        self.updates += 1;
+        for (_, tensor) in &mut metrics {
+            *tensor = tensor.detach();
+        }
+        metrics
+    }
+
+    /// Behaviour learning from the given posterior states (Alg. 1, lines 8-14).
+    fn learn_behavior(&mut self, states: &State) -> Vec<Metric> {
+        let config = &self.config.behavior;
+        let starts = starts(states, &self.config);
+        let policy = self.policy();
+        let imagined = imagine(&self.world, &policy, starts, config);
+        let value_feats = if config.value_gradient {
+            imagined.feats.shallow_clone()
+        } else {
+            imagined.feats.detach()
+        };
+        let slow_values = self.slow_critic.forward(&value_feats);
+        let returns = lambda_return(
+            &imagined.rewards,
+            &slow_values,
+            &imagined.discounts,
+            config.lambda,
+        );
+        let weights = step_weights(&imagined.discounts);
+        let actor_loss = actor_loss(
+            &returns,
+            &imagined.entropies,
+            &weights,
+            config.entropy_scale,
+        );
+        let values = trained_values(&self.critic, &policy, &imagined);
+        let critic_loss = critic_loss(&values, &returns, &weights);
+
+        let mut metrics = vec![
+            ("train/imagined_reward", imagined.rewards.mean(Kind::Float)),
+            ("train/imagined_return", returns.mean(Kind::Float)),
+            ("train/value", values.mean(Kind::Float)),
+            ("train/actor_entropy", imagined.entropies.mean(Kind::Float)),
+            ("train/loss/actor", actor_loss.shallow_clone()),
+            ("train/loss/critic", critic_loss.shallow_clone()),
+        ];
+        let (params, adam) = &mut self.groups.actor;
+        metrics.push((
+            "train/grad_norm/actor",
+            adam.minimize(&actor_loss, params, false),
+        ));
+        let (params, adam) = &mut self.groups.critic;
+        metrics.push((
+            "train/grad_norm/critic",
+            adam.minimize(&critic_loss, params, false),
+        ));
+        metrics
+    }
+
+    /// The weights that acting needs, as safetensors bytes.
+    pub fn publish(&self) -> Vec<u8> {
+        let groups = &self.groups;
+        let all = [&groups.world.0, &groups.actor.0, &groups.critic.0];
+        let entries = all.iter().flat_map(|params| params.entries());
+        to_safetensors(
+            entries
+                .filter(|(name, _)| self.acting_names.contains(name))
+                .map(|(name, tensor)| (name.as_str(), tensor)),
+        )
+    }
+
+    /// All weights, as safetensors bytes with the names of the parameters.
+    pub fn save_model(&self) -> Vec<u8> {
+        let groups = &self.groups;
+        let all = [
+            &groups.world.0,
+            &groups.actor.0,
+            &groups.critic.0,
+            &groups.slow_critic,
+        ];
+        let entries = all.iter().flat_map(|params| params.entries());
+        to_safetensors(entries.map(|(name, tensor)| (name.as_str(), tensor)))
+    }
+
+    /// Adam's moments, as safetensors bytes: `<group>.first` and `<group>.second`, flat in the order of the
+    /// group's parameters.
+    pub fn save_optimizer(&self) -> Vec<u8> {
+        let tensors: Vec<(String, &Tensor)> = self
+            .optimizers()
+            .into_iter()
+            .flat_map(|(name, adam)| {
+                [
+                    (format!("{name}.first"), &adam.first),
+                    (format!("{name}.second"), &adam.second),
+                ]
+            })
+            .collect();
+        to_safetensors(
+            tensors
+                .iter()
+                .map(|(name, tensor)| (name.as_str(), *tensor)),
+        )
+    }
+
+    /// Takes weights, moments and the update counter of a checkpoint. Each update moves every optimiser by
+    /// one step, so that the counter serves them all.
+    ///
+    /// # Errors
+    /// [`LoadError`] where the bytes are damaged or of another model.
+    pub fn load(&mut self, model: &[u8], optimizer: &[u8], updates: u64) -> Result<(), LoadError> {
+        let file = safetensors::SafeTensors::deserialize(model)?;
+        let groups = &mut self.groups;
+        for params in [
+            &mut groups.world.0,
+            &mut groups.actor.0,
+            &mut groups.critic.0,
+            &mut groups.slow_critic,
+        ] {
+            params.load(&file)?;
+        }
+        let file = safetensors::SafeTensors::deserialize(optimizer)?;
+        for (name, adam) in [
+            ("world_model", &mut groups.world.1),
+            ("actor", &mut groups.actor.1),
+            ("critic", &mut groups.critic.1),
+        ] {
+            for (part, tensor) in [("first", &mut adam.first), ("second", &mut adam.second)] {
+                let name = format!("{name}.{part}");
+                let view = file
+                    .tensor(&name)
+                    .map_err(|_| LoadError::Missing(name.clone()))?;
+                tensor.copy_(&tensor_of(&name, &view, &tensor.size())?);
+            }
+            adam.steps = updates;
+        }
+        self.updates = updates;
+        Ok(())
+    }
+
+    fn optimizers(&self) -> [(&'static str, &Adam); 3] {
+        [
+            ("world_model", &self.groups.world.1),
+            ("actor", &self.groups.actor.1),
+            ("critic", &self.groups.critic.1),
+        ]
+    }
+}

@@ -1,0 +1,191 @@
+//! Behaviour learning in isolated imaginations (Iso-Dream++ Alg. 1, lines 8-14; Eq. 14).
+
+use isodream_core::Config;
+use isodream_core::config::{BehaviorConfig, ModelConfig};
+use tch::{Kind, Tensor};
+
+use crate::losses::HALF_LOG_2PI;
+use crate::nn::Mlp;
+use crate::params::Scope;
+use crate::policy::{Actions, Policy};
+use crate::rssm::{State, stack};
+use crate::world_model::WorldModel;
+
+/// The critic `v(e_t)`.
+#[derive(Debug)]
+pub struct Critic {
+    mlp: Mlp,
+}
+
+impl Critic {
+    /// The critic of `config`.
+    pub fn new(scope: Scope<'_>, config: &ModelConfig) -> Self {
+        let feat = config.stoch + config.deter;
+        Self {
+            mlp: Mlp::new(scope, feat, config.critic_layers, config.units, 1),
+        }
+    }
+
+    /// # Shapes
+    /// `[.., feat] -> [..]`
+    pub fn forward(&self, feat: &Tensor) -> Tensor {
+        self.mlp.forward(feat).squeeze_dim(-1)
+    }
+}
+
+/// Imagined trajectories, time-major: `H` states from each of `N` starts.
+#[derive(Debug)]
+pub struct Imagined {
+    /// `e_t` with the graph to earlier actions: `[H, N, feat]`.
+    pub feats: Tensor,
+    /// `[s, h]` cut from the graph: `[H, N, feat]`.
+    pub controllable: Tensor,
+    /// What attention read, `[H, N, tau, feat]`; absent where the policy does not look ahead.
+    pub memory: Option<Tensor>,
+    /// Reward means at each state: `[H, N]`.
+    pub rewards: Tensor,
+    /// `gamma` times the probability of going on: `d_t` scales what follows `x_t`, `[H, N]`.
+    pub discounts: Tensor,
+    /// Policy entropies at the states, `[H - 1, N]`.
+    pub entropies: Tensor,
+}
+
+/// Imagines `H` states from detached starts, acting by `policy` on features cut from the graph.
+///
+/// # Shapes
+/// `starts: [N, ..]`
+pub fn imagine(
+    world: &WorldModel,
+    policy: &Policy<'_>,
+    starts: State,
+    config: &BehaviorConfig,
+) -> Imagined {
+    let horizon = config.imagination_horizon;
+    let mut state = starts;
+    let mut feats = Vec::new();
+    let mut controllable = Vec::new();
+    let mut memory = Vec::new();
+    let mut states = Vec::new();
+    let mut entropies = Vec::new();
+    for t in 0..horizon {
+        let lookahead = policy.look_ahead(&state);
+        let feat = policy.feat(&state, &lookahead);
+        controllable.push(state.controllable.feat().detach());
+        memory.extend(lookahead.memory);
+        let next = (t + 1 < horizon).then(|| {
+            let distribution = policy.actor.forward(&feat.detach());
+            entropies.push(distribution.entropy());
+            let action = distribution.sample();
+            match lookahead.next_deter {
+                Some(deter) => world.rssm.imagine_step_to(&state, &action, deter),
+                // Nothing reads `z` with the indicator off: it stays as it is.
+                None => State {
+                    controllable: world
+                        .rssm
+                        .imagine_controllable(&state.controllable, &action),
+                    noncontrollable: state.noncontrollable.detach(),
+                },
+            }
+        });
+        feats.push(feat);
+        match next {
+            Some(next) => states.push(std::mem::replace(&mut state, next)),
+            None => states.push(state.map(Tensor::shallow_clone)),
+        }
+    }
+    let states = stack(&states, 0);
+    let rewards = world.reward(&states);
+    let discounts = match world.continuation(&states) {
+        Some(continuation) => continuation * config.discount,
+        None => rewards.full_like(config.discount).detach(),
+    };
+    Imagined {
+        feats: Tensor::stack(&feats, 0),
+        controllable: Tensor::stack(&controllable, 0),
+        memory: (!memory.is_empty()).then(|| Tensor::stack(&memory, 0)),
+        rewards,
+        discounts,
+        entropies: Tensor::stack(&entropies, 0),
+    }
+}
+
+/// The lambda-return of state-aligned rewards: `G_t = r_t + d_t ((1 - lambda) v_{t+1} + lambda G_{t+1})` with
+/// `G_{H-1} = v_{H-1}`. (The authors' code returns it reversed in time by mistake.)
+///
+/// # Shapes
+/// `[H, ..]` thrice `-> [H - 1, ..]`
+pub fn lambda_return(rewards: &Tensor, values: &Tensor, discounts: &Tensor, lambda: f64) -> Tensor {
+    let horizon = rewards.size()[0];
+    let mut next = values.get(horizon - 1);
+    let mut returns = Vec::new();
+    for t in (0..horizon - 1).rev() {
+        let bootstrap = values.get(t + 1) * (1.0 - lambda) + &next * lambda;
+        next = rewards.get(t) + discounts.get(t) * bootstrap;
+        returns.push(next.shallow_clone());
+    }
+    returns.reverse();
+    Tensor::stack(&returns, 0)
+}
+
+/// `w_t = prod_{k<t} d_k`, the weight of step `t` in both losses; detached.
+///
+/// # Shapes
+/// `[H, ..] -> [H - 1, ..]`
+pub fn step_weights(discounts: &Tensor) -> Tensor {
+    let steps = discounts.size()[0] - 1;
+    let first = discounts.get(0).ones_like().unsqueeze(0);
+    Tensor::cat(&[first, discounts.narrow(0, 0, steps - 1)], 0)
+        .cumprod(0, Kind::Float)
+        .detach()
+}
+
+/// `-mean w_t (G_t + eta H[pi(. | e_t)])`.
+pub fn actor_loss(
+    returns: &Tensor,
+    entropies: &Tensor,
+    weights: &Tensor,
+    entropy_scale: f64,
+) -> Tensor {
+    -(weights * (returns + entropies * entropy_scale)).mean(Kind::Float)
+}
+
+/// `mean w_t 0.5 (v(e_t) - sg G_t)^2` plus the constant of a unit Gaussian.
+pub fn critic_loss(values: &Tensor, returns: &Tensor, weights: &Tensor) -> Tensor {
+    let nll = (values - returns.detach()).square() * 0.5 + HALF_LOG_2PI;
+    (weights * nll).mean(Kind::Float)
+}
+
+/// Rows of `states` (`[B, T, ..]`) from which imagination starts: all, or a random share of them.
+pub fn starts(states: &State, config: &Config) -> State {
+    let flat = states.map(|x| x.flatten(0, 1));
+    let share = config.behavior.start_share;
+    if share >= 1.0 {
+        return flat;
+    }
+    let rows = flat.controllable.stoch.size()[0];
+    let kept = ((rows as f64 * share).ceil() as i64).max(1);
+    let chosen =
+        Tensor::randperm(rows, (Kind::Int64, flat.controllable.stoch.device())).narrow(0, 0, kept);
+    flat.map(|x| x.index_select(0, &chosen))
+}
+
+/// Values of `e_t` recomputed from inputs cut from the graph, so that the loss reaches critic and attention
+/// and nothing else.
+pub fn trained_values(critic: &Critic, policy: &Policy<'_>, imagined: &Imagined) -> Tensor {
+    let steps = imagined.controllable.size()[0] - 1;
+    let batch = imagined.controllable.size()[1];
+    let controllable = imagined.controllable.narrow(0, 0, steps).flatten(0, 1);
+    let feat = match (policy.attention, &imagined.memory) {
+        (Some(attention), Some(memory)) => {
+            let memory = memory.narrow(0, 0, steps).flatten(0, 1);
+            attention.forward(&controllable, &memory).feat
+        }
+        _ => controllable,
+    };
+    critic.forward(&feat).view([steps, batch])
+}
+
+/// A sampled or most likely action at a state: what deployment does, on imagined states.
+pub fn decide(policy: &Policy<'_>, state: &State, actions: Actions) -> Tensor {
+    policy.act(&policy.feat(state, &policy.look_ahead(state)), actions)
+}

@@ -1,0 +1,169 @@
+//! Image decoders of the three branches and their composition (Iso-Dream++ Eq. 5).
+
+use isodream_core::config::ModelConfig;
+use tch::Tensor;
+
+use crate::encoder::{Tail, embed_dim};
+use crate::nn::{ConvTranspose, Linear};
+use crate::params::Scope;
+
+/// A linear layer and four transposed convolutions: features to a 64x64 picture.
+#[derive(Debug)]
+pub struct ImageDecoder {
+    input: Linear,
+    t0: ConvTranspose,
+    t1: ConvTranspose,
+    t2: ConvTranspose,
+    t3: ConvTranspose,
+}
+
+impl ImageDecoder {
+    /// From `inputs` features to `channels`.
+    pub fn new(mut scope: Scope<'_>, config: &ModelConfig, inputs: i64, channels: i64) -> Self {
+        let depth = config.cnn_depth;
+        let width = 32 * depth;
+        Self {
+            input: Linear::new(scope.sub("input"), inputs, width),
+            t0: ConvTranspose::new(scope.sub("t0"), width, 4 * depth, 5),
+            t1: ConvTranspose::new(scope.sub("t1"), 4 * depth, 2 * depth, 5),
+            t2: ConvTranspose::new(scope.sub("t2"), 2 * depth, depth, 6),
+            t3: ConvTranspose::new(scope.sub("t3"), depth, channels, 6),
+        }
+    }
+
+    /// # Shapes
+    /// `[N, inputs] -> [N, channels, 64, 64]`
+    pub fn forward(&self, feat: &Tensor) -> Tensor {
+        let x = self.t0.forward_vector(&self.input.forward(feat)).elu();
+        let x = self.t1.forward(&x).elu();
+        let x = self.t2.forward(&x).elu();
+        self.t3.forward(&x)
+    }
+}
+
+/// One dynamic branch's picture.
+#[derive(Debug)]
+pub struct Component {
+    /// `[N, 3, 64, 64]` in `[-0.5, 0.5]`.
+    pub rgb: Tensor,
+    /// `M^s` or `M^z`: `[N, 1, 64, 64]` in `(0, 1)`.
+    pub mask: Tensor,
+}
+
+impl Component {
+    /// Splits a decoder's four channels into picture and mask.
+    pub fn from_channels(channels: &Tensor) -> Self {
+        Self {
+            rgb: channels.narrow(1, 0, 3).clamp(-0.5, 0.5),
+            mask: channels.narrow(1, 3, 1).sigmoid(),
+        }
+    }
+}
+
+/// A reconstruction and what it is made of.
+#[derive(Debug)]
+pub struct Composition {
+    /// `o_hat`: `[N, 3, 64, 64]`.
+    pub image: Tensor,
+    /// The controllable branch's part.
+    pub controllable: Component,
+    /// The noncontrollable branch's part.
+    pub noncontrollable: Component,
+    /// The static branch's picture, `[N, 3, 64, 64]`.
+    pub background: Tensor,
+}
+
+/// `o_hat = M^s o^s + M^z o^z + (1 - M^s - M^z) o^b` (Eq. 5). The masks are independent sigmoids, so that
+/// the weight of the background may be negative, as in the authors' code.
+pub fn compose(
+    controllable: Component,
+    noncontrollable: Component,
+    background: Tensor,
+) -> Composition {
+    let rest: Tensor = 1.0 - &controllable.mask - &noncontrollable.mask;
+    let image = &controllable.mask * &controllable.rgb
+        + &noncontrollable.mask * &noncontrollable.rgb
+        + rest * &background;
+    Composition {
+        image,
+        controllable,
+        noncontrollable,
+        background,
+    }
+}
+
+/// The static branch: the first K frames of a sequence to one picture (`Dec_phi3(Enc_theta,phi3(o_1:K))`).
+#[derive(Debug)]
+pub struct Background {
+    tail: Tail,
+    decoder: ImageDecoder,
+    frames: i64,
+}
+
+impl Background {
+    /// The static branch of `config`.
+    pub fn new(mut scope: Scope<'_>, config: &ModelConfig) -> Self {
+        Self {
+            tail: Tail::new(scope.sub("encoder"), config, 0),
+            decoder: ImageDecoder::new(
+                scope.sub("decoder"),
+                config,
+                config.background_frames * embed_dim(config),
+                3,
+            ),
+            frames: config.background_frames,
+        }
+    }
+
+    /// # Shapes
+    /// `stem: [B, T, 2 depth, 14, 14]` with `T >= K` `-> [B, 3, 64, 64]`
+    pub fn forward(&self, stem: &Tensor) -> Tensor {
+        let first = stem.narrow(1, 0, self.frames);
+        let embed = self.tail.forward(&first.flatten(0, 1), None);
+        let joined = embed.view([stem.size()[0], -1]);
+        self.decoder.forward(&joined).clamp(-0.5, 0.5)
+    }
+}
+
+/// The decoders of all branches.
+#[derive(Debug)]
+pub struct Decoder {
+    controllable: ImageDecoder,
+    noncontrollable: ImageDecoder,
+    /// The static branch.
+    pub background: Background,
+}
+
+impl Decoder {
+    /// The decoders of `config`.
+    pub fn new(mut scope: Scope<'_>, config: &ModelConfig) -> Self {
+        let feat = config.stoch + config.deter;
+        Self {
+            controllable: ImageDecoder::new(scope.sub("controllable"), config, feat, 4),
+            noncontrollable: ImageDecoder::new(scope.sub("noncontrollable"), config, feat, 4),
+            background: Background::new(scope.sub("background"), config),
+        }
+    }
+
+    /// Pictures of both dynamic branches over one background per sequence.
+    ///
+    /// # Shapes
+    /// features `[B, T, stoch + deter]`, `background: [B, 3, 64, 64]`; the result has `N = B T`.
+    pub fn forward(
+        &self,
+        controllable: &Tensor,
+        noncontrollable: &Tensor,
+        background: &Tensor,
+    ) -> Composition {
+        let (batch, length) = (controllable.size()[0], controllable.size()[1]);
+        let background = background
+            .unsqueeze(1)
+            .expand([batch, length, 3, 64, 64], false)
+            .reshape([batch * length, 3, 64, 64]);
+        compose(
+            Component::from_channels(&self.controllable.forward(&controllable.flatten(0, 1))),
+            Component::from_channels(&self.noncontrollable.forward(&noncontrollable.flatten(0, 1))),
+            background,
+        )
+    }
+}

@@ -1,0 +1,110 @@
+//! The actor's distribution: a Gaussian truncated to `[-1, 1]`, as in DreamerV2.
+//!
+//! The authors' code means to use it but samples an untruncated Gaussian by mistake; this one is real.
+
+use tch::{Kind, Tensor};
+
+use crate::losses::HALF_LOG_2PI;
+
+/// Samples stay this far from the bounds.
+const MARGIN: f64 = 1e-6;
+
+/// A product of Gaussians truncated to `[-1, 1]`, `[.., A]`.
+#[derive(Debug)]
+pub struct TruncatedNormal {
+    /// Of the untruncated Gaussian, in `(-1, 1)`; also the mode.
+    pub mean: Tensor,
+    /// Of the untruncated Gaussian.
+    pub std: Tensor,
+}
+
+struct Bounds {
+    /// `(-1 - mean) / std`.
+    alpha: Tensor,
+    /// `(1 - mean) / std`.
+    beta: Tensor,
+    /// `Phi(alpha)`.
+    below: Tensor,
+    /// `Z = Phi(beta) - Phi(alpha)`.
+    mass: Tensor,
+}
+
+impl TruncatedNormal {
+    /// From the actor's raw outputs: `mean = tanh(m)`, `std = 2 sigmoid(raw / 2) + 0.1`.
+    ///
+    /// # Shapes
+    /// `[.., 2 A]`
+    pub fn from_raw(raw: &Tensor) -> Self {
+        let halves = raw.chunk(2, -1);
+        Self {
+            mean: halves[0].tanh(),
+            std: (&halves[1] / 2.0).sigmoid() * 2.0 + 0.1,
+        }
+    }
+
+    /// A reparameterised sample by the inverse distribution function.
+    pub fn sample(&self) -> Tensor {
+        self.quantile(&self.mean.rand_like())
+    }
+
+    /// `mean + std Phi^-1(Phi(alpha) + u Z)`: the sample that the uniform number `u` stands for.
+    ///
+    /// # Shapes
+    /// `u: [.., A]` in `[0, 1)`
+    pub fn quantile(&self, u: &Tensor) -> Tensor {
+        let bounds = self.bounds();
+        let p = (bounds.below + u * bounds.mass).clamp(MARGIN, 1.0 - MARGIN);
+        let standard = (p * 2.0 - 1.0).erfinv() * std::f64::consts::SQRT_2;
+        let sample = &self.mean + &self.std * standard;
+        let clipped = sample.clamp(-1.0 + MARGIN, 1.0 - MARGIN);
+        // Straight-through clip, as in DreamerV2: the value is inside, the gradient passes.
+        (clipped - &sample).detach() + sample
+    }
+
+    /// The most likely action.
+    pub fn mode(&self) -> Tensor {
+        self.mean.shallow_clone()
+    }
+
+    /// `ln pi(a)`, summed over action dimensions.
+    ///
+    /// # Shapes
+    /// `[.., A] -> [..]`
+    pub fn log_prob(&self, action: &Tensor) -> Tensor {
+        let standard = (action - &self.mean) / &self.std;
+        let log =
+            standard.square() * -0.5 - HALF_LOG_2PI - self.std.log() - self.bounds().mass.log();
+        sum_last(&log)
+    }
+
+    /// `H = ln(sqrt(2 pi e) std Z) + (alpha phi(alpha) - beta phi(beta)) / (2 Z)`, summed over action
+    /// dimensions.
+    ///
+    /// # Shapes
+    /// `[.., A] -> [..]`
+    pub fn entropy(&self) -> Tensor {
+        let bounds = self.bounds();
+        let density = |x: &Tensor| (x.square() * -0.5 - HALF_LOG_2PI).exp();
+        let edges = &bounds.alpha * density(&bounds.alpha) - &bounds.beta * density(&bounds.beta);
+        let entropy =
+            (&self.std * &bounds.mass).log() + (HALF_LOG_2PI + 0.5) + edges / (&bounds.mass * 2.0);
+        sum_last(&entropy)
+    }
+
+    fn bounds(&self) -> Bounds {
+        let alpha: Tensor = (-1.0 - &self.mean) / &self.std;
+        let beta: Tensor = (1.0 - &self.mean) / &self.std;
+        let below = alpha.special_ndtr();
+        let mass = beta.special_ndtr() - &below;
+        Bounds {
+            alpha,
+            beta,
+            below,
+            mass,
+        }
+    }
+}
+
+fn sum_last(x: &Tensor) -> Tensor {
+    x.sum_dim_intlist([-1_i64].as_slice(), false, Kind::Float)
+}

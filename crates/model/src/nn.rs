@@ -1,0 +1,275 @@
+//! Layers, with PyTorch's default initialisation as in the authors' code:
+//! weight and bias from U(-1/sqrt(fan_in), 1/sqrt(fan_in)).
+
+use tch::Tensor;
+
+use crate::params::Scope;
+
+/// `y = x W^T + b`.
+#[derive(Debug)]
+pub struct Linear {
+    /// `[out, in]`.
+    pub weight: Tensor,
+    /// `[out]`.
+    pub bias: Tensor,
+}
+
+impl Linear {
+    /// A layer from `inputs` to `outputs` features.
+    pub fn new(mut scope: Scope<'_>, inputs: i64, outputs: i64) -> Self {
+        let bound = 1.0 / (inputs as f64).sqrt();
+        Self {
+            weight: scope.uniform("weight", &[outputs, inputs], bound),
+            bias: scope.uniform("bias", &[outputs], bound),
+        }
+    }
+
+    /// # Shapes
+    /// `[.., in] -> [.., out]`
+    pub fn forward(&self, x: &Tensor) -> Tensor {
+        x.linear(&self.weight, Some(&self.bias))
+    }
+}
+
+/// Fully connected layers with ELU between them and none after the last.
+#[derive(Debug)]
+pub struct Mlp {
+    layers: Vec<Linear>,
+}
+
+impl Mlp {
+    /// `hidden_layers` of `units`, then a linear layer to `outputs`.
+    pub fn new(
+        mut scope: Scope<'_>,
+        inputs: i64,
+        hidden_layers: i64,
+        units: i64,
+        outputs: i64,
+    ) -> Self {
+        let mut layers = Vec::new();
+        let mut width = inputs;
+        for index in 0..hidden_layers {
+            layers.push(Linear::new(
+                scope.sub(format!("layer{index}")),
+                width,
+                units,
+            ));
+            width = units;
+        }
+        layers.push(Linear::new(scope.sub("out"), width, outputs));
+        Self { layers }
+    }
+
+    /// # Shapes
+    /// `[.., in] -> [.., out]`
+    pub fn forward(&self, x: &Tensor) -> Tensor {
+        let (last, hidden) = self
+            .layers
+            .split_last()
+            .expect("an MLP has an output layer");
+        let x = hidden
+            .iter()
+            .fold(x.shallow_clone(), |x, layer| layer.forward(&x).elu());
+        last.forward(&x)
+    }
+}
+
+/// A 4x4 convolution of stride 2 without padding.
+#[derive(Debug)]
+pub struct Conv {
+    /// `[out, in, 4, 4]`.
+    pub weight: Tensor,
+    /// `[out]`.
+    pub bias: Tensor,
+}
+
+impl Conv {
+    const KERNEL: i64 = 4;
+
+    /// A layer from `inputs` to `outputs` channels.
+    pub fn new(mut scope: Scope<'_>, inputs: i64, outputs: i64) -> Self {
+        let bound = 1.0 / ((inputs * Self::KERNEL * Self::KERNEL) as f64).sqrt();
+        Self {
+            weight: scope.uniform(
+                "weight",
+                &[outputs, inputs, Self::KERNEL, Self::KERNEL],
+                bound,
+            ),
+            bias: scope.uniform("bias", &[outputs], bound),
+        }
+    }
+
+    /// # Shapes
+    /// `[N, in, H, W] -> [N, out, (H - 4) / 2 + 1, (W - 4) / 2 + 1]`
+    pub fn forward(&self, x: &Tensor) -> Tensor {
+        x.conv2d(&self.weight, Some(&self.bias), [2, 2], [0, 0], [1, 1], 1)
+    }
+
+    /// The convolution of `x` with `planes` constant channels appended, without building them: without
+    /// padding, a constant channel of value `a` adds `a` times the sum of its kernel everywhere.
+    ///
+    /// # Shapes
+    /// `x: [N, in - A, H, W]`, `planes: [N, A]` `-> [N, out, H', W']`
+    pub fn forward_with_planes(&self, x: &Tensor, planes: &Tensor) -> Tensor {
+        let channels = x.size()[1];
+        let extra = self.weight.size()[1] - channels;
+        let from_image = x.conv2d(
+            &self.weight.narrow(1, 0, channels),
+            Some(&self.bias),
+            [2, 2],
+            [0, 0],
+            [1, 1],
+            1,
+        );
+        let kernel_sums = self.weight.narrow(1, channels, extra).sum_dim_intlist(
+            [2_i64, 3].as_slice(),
+            false,
+            None,
+        );
+        let from_planes = planes.linear::<&Tensor>(&kernel_sums, None);
+        from_image + from_planes.unsqueeze(-1).unsqueeze(-1)
+    }
+}
+
+/// A transposed convolution of stride 2 without padding.
+#[derive(Debug)]
+pub struct ConvTranspose {
+    /// `[in, out, k, k]`.
+    pub weight: Tensor,
+    /// `[out]`.
+    pub bias: Tensor,
+    kernel: i64,
+}
+
+impl ConvTranspose {
+    /// A layer from `inputs` to `outputs` channels. As in PyTorch, fan-in is `outputs * kernel^2`.
+    pub fn new(mut scope: Scope<'_>, inputs: i64, outputs: i64, kernel: i64) -> Self {
+        let bound = 1.0 / ((outputs * kernel * kernel) as f64).sqrt();
+        Self {
+            weight: scope.uniform("weight", &[inputs, outputs, kernel, kernel], bound),
+            bias: scope.uniform("bias", &[outputs], bound),
+            kernel,
+        }
+    }
+
+    /// # Shapes
+    /// `[N, in, H, W] -> [N, out, 2 (H - 1) + k, 2 (W - 1) + k]`
+    pub fn forward(&self, x: &Tensor) -> Tensor {
+        x.conv_transpose2d(
+            &self.weight,
+            Some(&self.bias),
+            [2, 2],
+            [0, 0],
+            [0, 0],
+            1,
+            [1, 1],
+        )
+    }
+
+    /// The layer on a 1x1 picture, which is a plain matrix product: several times faster than the same
+    /// thing as a transposed convolution.
+    ///
+    /// # Shapes
+    /// `[N, in] -> [N, out, k, k]`
+    pub fn forward_vector(&self, x: &Tensor) -> Tensor {
+        let outputs = self.weight.size()[1];
+        let y = x
+            .matmul(&self.weight.flatten(1, -1))
+            .view([-1, outputs, self.kernel, self.kernel])
+            + self.bias.view([1, outputs, 1, 1]);
+        channels_last(&y)
+    }
+}
+
+/// `x` with its channels adjacent in memory, the layout in which convolutions run fastest on a CPU: the
+/// transposed ones need 0.6 of the time.
+///
+/// # Shapes
+/// `[N, C, H, W]`, unchanged
+pub fn channels_last(x: &Tensor) -> Tensor {
+    x.permute([0, 2, 3, 1]).contiguous().permute([0, 3, 1, 2])
+}
+
+/// A GRU whose joint pre-activations pass a LayerNorm, as in DreamerV2.
+///
+/// `p = LN(W [x, h] + b)` splits into reset, candidate and update; `r = sigmoid(reset)`,
+/// `c = tanh(r * cand)`, `u = sigmoid(update - 1)`, `h' = u c + (1 - u) h`.
+#[derive(Debug)]
+pub struct GruCell {
+    /// Joint layer `[3 deter, inputs + deter]`.
+    pub joint: Linear,
+    /// LayerNorm scale `[3 deter]`.
+    pub gamma: Tensor,
+    /// LayerNorm offset `[3 deter]`.
+    pub beta: Tensor,
+    deter: i64,
+}
+
+impl GruCell {
+    /// A cell from `inputs` features to a state of `deter`.
+    pub fn new(mut scope: Scope<'_>, inputs: i64, deter: i64) -> Self {
+        Self {
+            joint: Linear::new(scope.sub("joint"), inputs + deter, 3 * deter),
+            gamma: scope.sub("norm").constant("weight", &[3 * deter], 1.0),
+            beta: scope.sub("norm").constant("bias", &[3 * deter], 0.0),
+            deter,
+        }
+    }
+
+    /// # Shapes
+    /// `x: [N, inputs]`, `h: [N, deter]` `-> [N, deter]`
+    pub fn forward(&self, x: &Tensor, h: &Tensor) -> Tensor {
+        let joint = self.joint.forward(&Tensor::cat(&[x, h], -1)).layer_norm(
+            [3 * self.deter],
+            Some(&self.gamma),
+            Some(&self.beta),
+            1e-5,
+            false,
+        );
+        let part = |index: i64| joint.narrow(-1, index * self.deter, self.deter);
+        let reset = part(0).sigmoid();
+        let candidate = (reset * part(1)).tanh();
+        let update = (part(2) - 1.0).sigmoid();
+        h + update * (candidate - h)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tch::{Device, Kind};
+
+    use super::*;
+    use crate::Params;
+
+    #[test]
+    fn planes_equal_appended_channels() {
+        tch::manual_seed(3);
+        let mut params = Params::new(Device::Cpu);
+        let conv = Conv::new(params.root("conv"), 7, 5);
+        let x = Tensor::randn([3, 5, 14, 14], (Kind::Float, Device::Cpu));
+        let planes = Tensor::randn([3, 2], (Kind::Float, Device::Cpu));
+        let appended = Tensor::cat(
+            &[&x, &planes.view([3, 2, 1, 1]).expand([3, 2, 14, 14], false)],
+            1,
+        );
+        let expected = conv.forward(&appended);
+        assert!(
+            conv.forward_with_planes(&x, &planes)
+                .allclose(&expected, 1e-4, 1e-5, false)
+        );
+    }
+
+    #[test]
+    fn vector_form_equals_the_transposed_convolution() {
+        tch::manual_seed(4);
+        let mut params = Params::new(Device::Cpu);
+        let layer = ConvTranspose::new(params.root("t0"), 6, 3, 5);
+        let x = Tensor::randn([4, 6], (Kind::Float, Device::Cpu));
+        let expected = layer.forward(&x.view([4, 6, 1, 1]));
+        assert!(
+            layer
+                .forward_vector(&x)
+                .allclose(&expected, 1e-4, 1e-5, false)
+        );
+    }
+}

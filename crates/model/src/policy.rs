@@ -1,0 +1,264 @@
+//! The policy: rollouts of the noncontrollable branch, future-state attention and the actor
+//! (Iso-Dream++ Eq. 13, 14; Alg. 1, lines 9-12 and 22-24).
+//!
+//! [`Policy::look_ahead`] and [`Policy::act`] serve imagination and deployment alike, so that training and
+//! acting cannot drift apart.
+
+use isodream_core::Config;
+use isodream_core::config::ModelConfig;
+use safetensors::SafeTensors;
+use tch::{Device, Tensor};
+
+use crate::attention::FutureAttention;
+use crate::distribution::TruncatedNormal;
+use crate::encoder::Encoder;
+use crate::nn::Mlp;
+use crate::params::{LoadError, Params, Scope};
+use crate::rssm::{Latent, Rssm, State};
+
+/// How an action is taken from the distribution.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Actions {
+    /// Drawn: collecting.
+    Sample,
+    /// The mode: evaluating.
+    Mode,
+}
+
+/// The actor `pi(a_t | e_t)`.
+#[derive(Debug)]
+pub struct Actor {
+    mlp: Mlp,
+}
+
+impl Actor {
+    /// The actor of `config`.
+    pub fn new(scope: Scope<'_>, config: &ModelConfig, action_dim: i64) -> Self {
+        let feat = config.stoch + config.deter;
+        Self {
+            mlp: Mlp::new(
+                scope,
+                feat,
+                config.actor_layers,
+                config.units,
+                2 * action_dim,
+            ),
+        }
+    }
+
+    /// # Shapes
+    /// `e: [.., feat]`
+    pub fn forward(&self, feat: &Tensor) -> TruncatedNormal {
+        TruncatedNormal::from_raw(&self.mlp.forward(feat))
+    }
+}
+
+/// What the noncontrollable branch foresees from a state.
+#[derive(Debug)]
+pub struct Lookahead {
+    /// `[z_t, z_{t+1}, .., z_{t+tau-1}]` with their recurrent states, detached: `[N, tau, feat]`. Absent where
+    /// the policy does not look ahead.
+    pub memory: Option<Tensor>,
+    /// `h'_{t+1}`, which the next imagined step needs as well; absent where `z` is ignored.
+    pub next_deter: Option<Tensor>,
+}
+
+/// Borrows everything that turns a state into an action.
+#[derive(Debug)]
+pub struct Policy<'a> {
+    /// Latent dynamics, for the rollouts.
+    pub rssm: &'a Rssm,
+    /// Future-state attention; absent with the indicator off or an empty window.
+    pub attention: Option<&'a FutureAttention>,
+    /// The actor.
+    pub actor: &'a Actor,
+    /// Whether noncontrollable states count (the indicator).
+    pub indicator: bool,
+    /// `tau`.
+    pub window: i64,
+}
+
+impl Policy<'_> {
+    /// Rolls the noncontrollable branch `tau - 1` steps into the future: the first through the dependency
+    /// gate, the others on its own (Alg. 1, lines 9-10 and 22-23).
+    pub fn look_ahead(&self, state: &State) -> Lookahead {
+        if !self.indicator {
+            return Lookahead {
+                memory: None,
+                next_deter: None,
+            };
+        }
+        let gated = self.rssm.gated(state);
+        let z = &state.noncontrollable;
+        let next_deter = self.rssm.free_transition(&gated.stoch, &z.deter);
+        let memory = self.attention.map(|_| {
+            tch::no_grad(|| {
+                let now = Latent {
+                    stoch: gated.stoch.shallow_clone(),
+                    deter: z.deter.shallow_clone(),
+                };
+                let mut memory = vec![now.feat()];
+                let mut deter = next_deter.shallow_clone();
+                while (memory.len() as i64) < self.window {
+                    let stoch = self.rssm.noncontrollable.prior(&deter).sample();
+                    let latent = Latent { stoch, deter };
+                    memory.push(latent.feat());
+                    let alone = match &self.rssm.gate {
+                        Some(gate) => gate.merge_shut(&latent.stoch),
+                        None => latent.stoch,
+                    };
+                    deter = if (memory.len() as i64) < self.window {
+                        self.rssm.free_transition(&alone, &latent.deter)
+                    } else {
+                        latent.deter
+                    };
+                }
+                Tensor::stack(&memory, 1)
+            })
+        });
+        Lookahead {
+            memory,
+            next_deter: Some(next_deter),
+        }
+    }
+
+    /// `e_t` (Eq. 13); the controllable features themselves where the policy does not look ahead.
+    ///
+    /// # Shapes
+    /// `-> [N, feat]`
+    pub fn feat(&self, state: &State, lookahead: &Lookahead) -> Tensor {
+        let controllable = state.controllable.feat();
+        match (self.attention, &lookahead.memory) {
+            (Some(attention), Some(memory)) => attention.forward(&controllable, memory).feat,
+            _ => controllable,
+        }
+    }
+
+    /// The action at features `e_t` (Eq. 14).
+    ///
+    /// # Shapes
+    /// `[N, feat] -> [N, A]`
+    pub fn act(&self, feat: &Tensor, actions: Actions) -> Tensor {
+        let distribution = self.actor.forward(feat);
+        match actions {
+            Actions::Sample => distribution.sample(),
+            Actions::Mode => distribution.mode(),
+        }
+    }
+}
+
+/// The networks that acting needs, with their own parameters: what is published to actors.
+#[derive(Debug)]
+pub struct ActingModel {
+    params: Params,
+    encoder: Encoder,
+    rssm: Rssm,
+    attention: Option<FutureAttention>,
+    actor: Actor,
+    indicator: bool,
+    window: i64,
+}
+
+/// The recurrent memory of a policy over its environments.
+#[derive(Debug)]
+pub struct Memory {
+    state: State,
+    action: Tensor,
+}
+
+impl ActingModel {
+    /// An acting model with random weights; [`Self::load`] gives it those of a learner.
+    pub fn new(config: &Config, action_dim: usize, device: Device) -> Self {
+        let action_dim = action_dim as i64;
+        let mut params = Params::new(device);
+        let mut world = params.root("world_model");
+        let encoder = Encoder::new(world.sub("encoder"), &config.model, action_dim);
+        let rssm = Rssm::new(world.sub("rssm"), &config.model, action_dim);
+        let attention = looks_ahead(config)
+            .then(|| FutureAttention::new(params.root("attention"), &config.model));
+        let actor = Actor::new(params.root("actor"), &config.model, action_dim);
+        params.flatten();
+        Self {
+            params,
+            encoder,
+            rssm,
+            attention,
+            actor,
+            indicator: config.model.indicator,
+            window: config.behavior.rollout_window,
+        }
+    }
+
+    /// Names of the parameters that acting needs.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.params.entries().iter().map(|(name, _)| name.as_str())
+    }
+
+    /// Takes weights from safetensors bytes, published or of a checkpoint.
+    ///
+    /// # Errors
+    /// [`LoadError`] where the bytes are damaged or of another model; the old weights stay then.
+    pub fn load(&mut self, bytes: &[u8]) -> Result<(), LoadError> {
+        self.params.load(&SafeTensors::deserialize(bytes)?)
+    }
+
+    /// The policy over these weights.
+    pub fn policy(&self) -> Policy<'_> {
+        Policy {
+            rssm: &self.rssm,
+            attention: self.attention.as_ref(),
+            actor: &self.actor,
+            indicator: self.indicator,
+            window: self.window,
+        }
+    }
+
+    /// An empty memory for `environments`.
+    pub fn begin(&self, environments: i64, action_dim: i64) -> Memory {
+        let device = self.params.device();
+        Memory {
+            state: self.rssm.initial(environments, device),
+            action: Tensor::zeros([environments, action_dim], (tch::Kind::Float, device)),
+        }
+    }
+
+    /// One decision (Alg. 1, lines 21-24): posterior, rollout, attention, action. Environments that were just
+    /// reset (`is_first`) start from the initial state and a zero action.
+    ///
+    /// # Shapes
+    /// `images: [M, 3, 64, 64]`, `is_first: [M]` `-> [M, A]`
+    pub fn step(
+        &self,
+        memory: &mut Memory,
+        images: &Tensor,
+        is_first: &[bool],
+        actions: Actions,
+    ) -> Tensor {
+        let _guard = tch::no_grad_guard();
+        let device = self.params.device();
+        let images = images.to_device(device);
+        if is_first.contains(&true) {
+            let keep: Vec<f32> = is_first
+                .iter()
+                .map(|&first| f32::from(u8::from(!first)))
+                .collect();
+            let keep = Tensor::from_slice(&keep).unsqueeze(1).to_device(device);
+            memory.state = memory.state.map(|x| x * &keep);
+            memory.action = &memory.action * &keep;
+        }
+        let stem = self.encoder.stem.forward(&images);
+        let embed = self.encoder.embed(&stem, &memory.action);
+        memory.state = self
+            .rssm
+            .observe_step(&memory.state, &memory.action, &embed);
+        let policy = self.policy();
+        let lookahead = policy.look_ahead(&memory.state);
+        memory.action = policy.act(&policy.feat(&memory.state, &lookahead), actions);
+        memory.action.to_device(Device::Cpu)
+    }
+}
+
+/// Whether the policy of `config` uses rollouts and attention.
+pub fn looks_ahead(config: &Config) -> bool {
+    config.model.indicator && config.behavior.rollout_window > 0
+}

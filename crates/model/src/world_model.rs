@@ -1,0 +1,331 @@
+//! The decoupled world model: networks, and the loss of representation learning (Iso-Dream++ Eq. 4-10).
+
+use isodream_core::Config;
+use isodream_core::config::{InverseInput, LossConfig, ModelConfig, VarianceLoss};
+use tch::{Kind, Tensor};
+
+use crate::agent::Batch;
+use crate::decoder::{Composition, Decoder};
+use crate::encoder::{Embeddings, Encoder, embed_dim};
+use crate::losses::{balanced_kl, gaussian_nll, max_action_loss, min_free_loss, sample_variance};
+use crate::nn::Mlp;
+use crate::params::Scope;
+use crate::rssm::{Branch, Observed, Rssm, State};
+
+/// Every network that representation learning trains.
+#[derive(Debug)]
+pub struct WorldModel {
+    /// Images to embeddings.
+    pub encoder: Encoder,
+    /// Latent dynamics.
+    pub rssm: Rssm,
+    /// Latents to images.
+    pub decoder: Decoder,
+    heads: Heads,
+    config: ModelConfig,
+    loss: LossConfig,
+    posterior_steps: (i64, i64),
+}
+
+#[derive(Debug)]
+struct Heads {
+    reward: Mlp,
+    inverse: Mlp,
+    discount: Option<Mlp>,
+}
+
+/// A sequence seen by the encoder and the latent dynamics.
+#[derive(Debug)]
+pub struct Encoded {
+    /// `[B, T, 2 depth, 14, 14]`.
+    pub stem: Tensor,
+    /// `[B, T, embed]` each.
+    pub embed: Embeddings,
+    /// Latents.
+    pub observed: Observed,
+}
+
+/// The world-model loss, its terms, and what behaviour learning starts from.
+#[derive(Debug)]
+pub struct WorldModelLoss {
+    /// `L_all` of Eq. 10.
+    pub total: Tensor,
+    /// Unweighted terms and diagnostics by metric name.
+    pub terms: Vec<(&'static str, Tensor)>,
+    /// Posterior states, detached, `[B, T, ..]`.
+    pub states: State,
+}
+
+impl WorldModel {
+    /// The world model of `config`.
+    pub fn new(mut scope: Scope<'_>, config: &Config, action_dim: i64) -> Self {
+        let model = &config.model;
+        let feat = model.stoch + model.deter;
+        let reward_feat = if model.indicator { 2 * feat } else { feat };
+        let inverse_feat = match model.inverse {
+            InverseInput::Posterior => 2 * model.stoch,
+            InverseInput::EmbedDiff => embed_dim(model),
+        };
+        Self {
+            encoder: Encoder::new(scope.sub("encoder"), model, action_dim),
+            rssm: Rssm::new(scope.sub("rssm"), model, action_dim),
+            decoder: Decoder::new(scope.sub("decoder"), model),
+            heads: Heads {
+                reward: Mlp::new(
+                    scope.sub("reward"),
+                    reward_feat,
+                    model.reward_layers,
+                    model.units,
+                    1,
+                ),
+                inverse: Mlp::new(
+                    scope.sub("inverse"),
+                    inverse_feat,
+                    model.inverse_layers,
+                    model.units,
+                    action_dim,
+                ),
+                discount: model.discount_head.then(|| {
+                    Mlp::new(
+                        scope.sub("discount"),
+                        reward_feat,
+                        model.discount_layers,
+                        model.units,
+                        1,
+                    )
+                }),
+            },
+            config: model.clone(),
+            loss: config.loss.clone(),
+            posterior_steps: config.posterior_steps(),
+        }
+    }
+
+    /// What reward and discount heads see: `[s, h, z, h']` with the indicator on, else `[s, h]`.
+    pub fn head_feat(&self, state: &State) -> Tensor {
+        if self.config.indicator {
+            state.joint_feat()
+        } else {
+            state.controllable.feat()
+        }
+    }
+
+    /// The expected reward at a state.
+    ///
+    /// # Shapes
+    /// `[.., ..] -> [..]`
+    pub fn reward(&self, state: &State) -> Tensor {
+        self.heads
+            .reward
+            .forward(&self.head_feat(state))
+            .squeeze_dim(-1)
+    }
+
+    /// The probability that the episode goes on from a state; none without a discount head.
+    pub fn continuation(&self, state: &State) -> Option<Tensor> {
+        let head = self.heads.discount.as_ref()?;
+        Some(
+            head.forward(&self.head_feat(state))
+                .squeeze_dim(-1)
+                .sigmoid(),
+        )
+    }
+
+    /// Encodes a sequence and infers its latents.
+    ///
+    /// # Shapes
+    /// `images: [B, T, 3, 64, 64]`, `actions: [B, T, A]`
+    pub fn encode(&self, images: &Tensor, actions: &Tensor) -> Encoded {
+        let (batch, length) = (images.size()[0], images.size()[1]);
+        let stem = self.encoder.stem.forward(&images.flatten(0, 1));
+        let flat = self.encoder.embed(&stem, &actions.flatten(0, 1));
+        let unflatten = |x: &Tensor| x.unflatten(0, [batch, length]);
+        let embed = Embeddings {
+            controllable: unflatten(&flat.controllable),
+            noncontrollable: unflatten(&flat.noncontrollable),
+        };
+        Encoded {
+            stem: unflatten(&stem),
+            observed: self.rssm.observe(actions, &embed),
+            embed,
+        }
+    }
+
+    /// Reconstructs a sequence; per branch, the first posterior steps from posterior samples and the rest
+    /// from prior samples, as in the authors' code.
+    pub fn reconstruct(&self, encoded: &Encoded) -> Composition {
+        let observed = &encoded.observed;
+        let feat = |stoch: Tensor, deter: &Tensor| Tensor::cat(&[stoch, deter.shallow_clone()], -1);
+        let (s, z) = (
+            &observed.states.controllable,
+            &observed.states.noncontrollable,
+        );
+        let s_stoch = posterior_then_prior(
+            &s.stoch,
+            || observed.controllable_prior.sample(),
+            self.posterior_steps.0,
+        );
+        let z_stoch = posterior_then_prior(
+            &z.stoch,
+            || observed.noncontrollable_prior.sample(),
+            self.posterior_steps.1,
+        );
+        self.decoder.forward(
+            &feat(s_stoch, &s.deter),
+            &feat(z_stoch, &z.deter),
+            &self.decoder.background.forward(&encoded.stem),
+        )
+    }
+
+    /// `L_all = L_base + L_var` (Eq. 6, 10), the gate's sparsity penalty included.
+    pub fn loss(&self, batch: &Batch) -> WorldModelLoss {
+        let encoded = self.encode(&batch.images, &batch.actions);
+        let observed = &encoded.observed;
+        let composition = self.reconstruct(&encoded);
+
+        let image = gaussian_nll(&composition.image, &batch.images.flatten(0, 1), 3);
+        let reward_mean = self.reward(&observed.states);
+        let reward = gaussian_nll(&reward_mean, &batch.rewards, 0);
+        let action = self.inverse_loss(batch, &encoded);
+        let controllable_kl = self.kl(
+            &observed.controllable_posterior,
+            &observed.controllable_prior,
+        );
+        let noncontrollable_kl = self.kl(
+            &observed.noncontrollable_posterior,
+            &observed.noncontrollable_prior,
+        );
+        let (max_action, min_free) = self.variance_losses(&batch.actions, observed);
+
+        let weights = &self.loss;
+        let mut total = &image
+            + &reward * weights.reward_scale
+            + &action * weights.action_scale
+            + &controllable_kl * weights.controllable_kl_scale
+            + &noncontrollable_kl * weights.noncontrollable_kl_scale
+            + &max_action * weights.max_action_scale
+            + &min_free * weights.min_free_scale;
+        let reward_error = (reward_mean - &batch.rewards).abs().mean(Kind::Float);
+        let mut terms = vec![
+            ("train/loss/image", image),
+            ("train/loss/reward", reward),
+            ("train/loss/action", action),
+            ("train/loss/controllable_kl", controllable_kl),
+            ("train/loss/noncontrollable_kl", noncontrollable_kl),
+            ("train/loss/max_action", max_action),
+            ("train/loss/min_free", min_free),
+            ("train/reward_error", reward_error),
+            (
+                "train/mask/controllable",
+                composition.controllable.mask.mean(Kind::Float),
+            ),
+            (
+                "train/mask/noncontrollable",
+                composition.noncontrollable.mask.mean(Kind::Float),
+            ),
+        ];
+        if let Some(open) = &observed.gate_open {
+            let gate = open.mean(Kind::Float);
+            total += &gate * weights.gate_scale;
+            terms.push(("train/loss/gate", gate));
+        }
+        if let Some(head) = &self.heads.discount {
+            let logits = head
+                .forward(&self.head_feat(&observed.states))
+                .squeeze_dim(-1);
+            let discount = logits.binary_cross_entropy_with_logits::<&Tensor>(
+                &batch.discounts,
+                None,
+                None,
+                tch::Reduction::Mean,
+            );
+            total += &discount * weights.discount_scale;
+            terms.push(("train/loss/discount", discount));
+        }
+        terms.push(("train/loss/model", total.shallow_clone()));
+        WorldModelLoss {
+            total,
+            terms,
+            states: observed.states.map(Tensor::detach),
+        }
+    }
+
+    fn kl(&self, posterior: &crate::rssm::Gaussian, prior: &crate::rssm::Gaussian) -> Tensor {
+        balanced_kl(posterior, prior, self.loss.kl_balance, self.loss.free_nats)
+    }
+
+    /// Inverse dynamics (Eq. 4): the action between neighbouring states, `0.5 |a - a_hat|^2` plus the constant
+    /// of a unit Gaussian.
+    fn inverse_loss(&self, batch: &Batch, encoded: &Encoded) -> Tensor {
+        let input = match self.config.inverse {
+            InverseInput::Posterior => {
+                let stoch = &encoded.observed.states.controllable.stoch;
+                let steps = stoch.size()[1] - 1;
+                Tensor::cat(&[stoch.narrow(1, 0, steps), stoch.narrow(1, 1, steps)], -1)
+            }
+            InverseInput::EmbedDiff => encoded.embed.controllable.diff::<&Tensor>(1, 1, None, None),
+        };
+        let steps = input.size()[1];
+        gaussian_nll(
+            &self.heads.inverse.forward(&input),
+            &batch.actions.narrow(1, 1, steps),
+            1,
+        )
+    }
+
+    /// The min-max variance constraints (Eq. 8, 9) under `{a, -a}` and `{a, 0, -a}`. The real transitions
+    /// are the scan's own; the hypothetical ones have no recurrence and run as one batch.
+    fn variance_losses(&self, actions: &Tensor, observed: &Observed) -> (Tensor, Tensor) {
+        let actions = actions.flatten(0, 1);
+        let opposite = actions.neg();
+        let from = observed.previous.map(|x| x.flatten(0, 1));
+        let (s, z) = (&from.controllable, &from.noncontrollable);
+        let s_action = observed.states.controllable.deter.flatten(0, 1);
+        let s_opposite = self
+            .rssm
+            .controllable
+            .transition(&s.stoch, &opposite, &s.deter);
+        let z_none = observed.states.noncontrollable.deter.flatten(0, 1);
+        let twice = |x: &Tensor| x.repeat([2, 1]);
+        let z_both = self
+            .rssm
+            .noncontrollable
+            .transition(
+                &twice(&z.stoch),
+                &Tensor::cat(&[&actions, &opposite], 0),
+                &twice(&z.deter),
+            )
+            .chunk(2, 0);
+        match self.loss.variance {
+            VarianceLoss::Deter => (
+                max_action_loss(&s_action, &s_opposite),
+                min_free_loss(&z_none, &z_both[0], &z_both[1]),
+            ),
+            VarianceLoss::Paper => {
+                let length = observed.states.controllable.deter.size()[1];
+                let sample = |branch: &Branch, deter: &Tensor| {
+                    branch.prior(deter).sample().unflatten(0, [-1, length])
+                };
+                let (s, z) = (&self.rssm.controllable, &self.rssm.noncontrollable);
+                (
+                    -sample_variance(&[sample(s, &s_action), sample(s, &s_opposite)]),
+                    sample_variance(&[
+                        sample(z, &z_both[0]),
+                        sample(z, &z_none),
+                        sample(z, &z_both[1]),
+                    ]),
+                )
+            }
+        }
+    }
+}
+
+/// The first `steps` of `posterior` along time, then prior samples.
+fn posterior_then_prior(posterior: &Tensor, prior: impl FnOnce() -> Tensor, steps: i64) -> Tensor {
+    let length = posterior.size()[1];
+    if steps >= length {
+        return posterior.shallow_clone();
+    }
+    let rest = prior().narrow(1, steps, length - steps);
+    Tensor::cat(&[posterior.narrow(1, 0, steps), rest], 1)
+}

@@ -1,0 +1,114 @@
+//! The replay service over the replay library: group commit, credits, waiting with reasons.
+//!
+//! One thread owns the writer: it collects whatever chunks have arrived, writes them, syncs
+//! once and acknowledges. Streams admit chunks and draws through the rate limiter and tell their peer why they
+//! wait. Only that thread and blocking tasks touch the disk.
+
+mod append;
+mod commit;
+mod errors;
+mod sample;
+mod service;
+mod state;
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use anyhow::Context;
+use isodream_proto::v1::replay_service_server::ReplayServiceServer;
+use isodream_replay::{LimiterOptions, Store, StoreOptions};
+use isodream_rpc::limits::MAX_MESSAGE_BYTES;
+use tokio::net::TcpListener;
+use tokio::sync::mpsc;
+use tokio_util::sync::CancellationToken;
+
+use crate::commit::Committer;
+use crate::service::ReplayServer;
+use crate::state::State;
+
+/// Chunks between the streams and the commit thread at most; 200 KB each as a rule.
+const COMMIT_QUEUE: usize = 64;
+
+/// Settings of a replay-server.
+#[derive(Debug, Clone)]
+pub struct ServerOptions {
+    /// The store's folder; made where it is missing, locked while the server runs.
+    pub folder: PathBuf,
+    /// Capacity and layout.
+    pub store: StoreOptions,
+    /// The ratio of sampled to inserted steps. Always today's: nothing of it is stored.
+    pub limiter: LimiterOptions,
+}
+
+/// Serves the store in `options.folder` on `listener` until `shutdown` is cancelled. Dropping the future
+/// stops the server as a crash would, and then releases the folder.
+///
+/// # Errors
+/// Where the store cannot be opened, the server fails, or the disk fails in a way that leaves its state
+/// unknown: then the process must end, and restarting recovers what is durable.
+pub async fn serve(
+    options: ServerOptions,
+    listener: TcpListener,
+    shutdown: CancellationToken,
+) -> anyhow::Result<()> {
+    let (folder, store_options) = (options.folder.clone(), options.store.clone());
+    let (writer, store, recovery) =
+        tokio::task::spawn_blocking(move || Store::open(&folder, &store_options))
+            .await
+            .context("the task that opens the replay store failed")??;
+    let stats = store.stats();
+    tracing::info!(
+        folder = %options.folder.display(),
+        address = %listener.local_addr().context("the listener has no address")?,
+        steps = stats.steps,
+        episodes = stats.episodes,
+        inserted_steps = stats.inserted_steps,
+        segments = recovery.segments,
+        torn_bytes = recovery.torn_bytes,
+        quarantined = recovery.quarantined.len(),
+        "serving replay"
+    );
+
+    // Streams and the commit thread outlive this future's drop unless they are told.
+    let stop = shutdown.child_token();
+    let _stop_on_drop = stop.clone().drop_guard();
+    let (commands, queue) = mpsc::channel(COMMIT_QUEUE);
+    let state = Arc::new(State::new(store, options.limiter, commands, stop.clone()));
+    let mut committed = Committer {
+        writer,
+        queue,
+        state: state.clone(),
+    }
+    .spawn()
+    .context("cannot start the commit thread")?;
+
+    let service = ReplayServiceServer::new(ReplayServer::new(state))
+        .max_decoding_message_size(MAX_MESSAGE_BYTES)
+        .max_encoding_message_size(MAX_MESSAGE_BYTES);
+    let router = isodream_rpc::server()
+        .add_service(isodream_rpc::serving::<ReplayServiceServer<ReplayServer>>().await)
+        .add_service(service);
+    let served = isodream_rpc::serve(router, listener, stop.clone());
+    tokio::pin!(served);
+    let result = tokio::select! {
+        result = &mut served => {
+            stop.cancel();
+            committed.await.context("the commit thread died")?.context("the replay log failed")?;
+            result.context("the replay-server failed")
+        }
+        result = &mut committed => {
+            stop.cancel();
+            // Open streams hear of the end before the process goes.
+            if let Err(error) = served.await {
+                tracing::warn!(%error, "the server did not stop cleanly");
+            }
+            match result {
+                Ok(Ok(())) => Ok(()),
+                Ok(Err(error)) => Err(error).context("the replay log failed"),
+                Err(_) => Err(anyhow::anyhow!("the commit thread died")),
+            }
+        }
+    };
+    tracing::info!("replay stopped");
+    result
+}

@@ -1,0 +1,198 @@
+//! One `Sample` stream: credits in, sequences and reasons to wait out.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use isodream_core::Chunk;
+use isodream_proto::v1::sample_request::Kind;
+use isodream_proto::v1::{SampleReply, SampleRequest};
+use isodream_replay::{ChunkRef, Draw, ReplayError, Sampler, SequenceRef};
+use isodream_rpc::ServiceError;
+use tokio::sync::mpsc;
+use tonic::{Status, Streaming};
+
+use crate::state::{State, stopping};
+
+/// Sequences read by one blocking task.
+const READ_GROUP: usize = 8;
+/// Replies handed to the transport ahead of its pace.
+const REPLIES_AHEAD: usize = 4;
+
+type Replies = mpsc::Sender<Result<SampleReply, Status>>;
+
+/// Serves a stream whose hello was accepted.
+pub(crate) fn start(
+    state: Arc<State>,
+    requests: Streaming<SampleRequest>,
+    sampler: Sampler,
+) -> mpsc::Receiver<Result<SampleReply, Status>> {
+    let (replies, outbound) = mpsc::channel(REPLIES_AHEAD);
+    let stop = state.stop.clone();
+    let mut stream = SampleStream {
+        state,
+        sampler,
+        credits: VecDeque::new(),
+        replies,
+        announced: String::new(),
+    };
+    tokio::spawn(async move {
+        let replies = stream.replies.clone();
+        let result = tokio::select! {
+            result = stream.run(requests) => result,
+            () = stop.cancelled() => Err(stopping()),
+            () = replies.closed() => Ok(()),
+        };
+        if let Err(error) = result {
+            let _ = replies.send(Err(error.into())).await;
+        }
+    });
+    outbound
+}
+
+struct SampleStream {
+    state: Arc<State>,
+    sampler: Sampler,
+    /// What the peer asked for, in its order.
+    credits: VecDeque<(Draw, u32)>,
+    replies: Replies,
+    /// The reason to wait that the peer knows.
+    announced: String,
+}
+
+impl SampleStream {
+    async fn run(&mut self, mut requests: Streaming<SampleRequest>) -> Result<(), ServiceError> {
+        let state = self.state.clone();
+        loop {
+            let changed = state.changed.notified();
+            tokio::pin!(changed);
+            changed.as_mut().enable();
+            let draws = self.draw();
+            if !draws.is_empty() {
+                self.send(draws).await?;
+                continue;
+            }
+            self.announce().await?;
+            tokio::select! {
+                request = requests.message() => match request {
+                    Ok(Some(request)) => self.credit(&request)?,
+                    Ok(None) | Err(_) => return Ok(()),
+                },
+                () = changed => {}
+            }
+        }
+    }
+
+    fn credit(&mut self, request: &SampleRequest) -> Result<(), ServiceError> {
+        let Some(Kind::Credit(credit)) = &request.kind else {
+            return Err(ServiceError::Invalid(
+                "a sample stream takes one hello and then credits".to_owned(),
+            ));
+        };
+        let draw = if credit.unlimited {
+            Draw::Unlimited
+        } else {
+            Draw::Limited
+        };
+        match self.credits.back_mut() {
+            Some((last, count)) if *last == draw => *count = count.saturating_add(credit.sequences),
+            _ => self.credits.push_back((draw, credit.sequences)),
+        }
+        Ok(())
+    }
+
+    /// As many sequences as credits and limiter allow, up to one group.
+    fn draw(&mut self) -> Vec<(Draw, SequenceRef)> {
+        let mut draws = Vec::new();
+        while draws.len() < READ_GROUP {
+            let Some((draw, count)) = self.credits.front_mut() else {
+                break;
+            };
+            if *count == 0 {
+                self.credits.pop_front();
+                continue;
+            }
+            let Ok(sequence) = self.state.try_draw(*draw, &mut self.sampler) else {
+                break;
+            };
+            *count -= 1;
+            draws.push((*draw, sequence));
+        }
+        draws
+    }
+
+    /// Reads and sends; what cannot be read goes out of the store and its credit back.
+    async fn send(&mut self, draws: Vec<(Draw, SequenceRef)>) -> Result<(), ServiceError> {
+        self.announced.clear();
+        let read = tokio::task::spawn_blocking(move || {
+            draws
+                .into_iter()
+                .map(|(draw, sequence)| (draw, sequence.offset, read(&sequence)))
+                .collect::<Vec<_>>()
+        })
+        .await
+        .map_err(|error| ServiceError::Internal(format!("reading a sequence failed: {error}")))?;
+        for (draw, offset, chunks) in read {
+            match chunks {
+                Ok(chunks) => {
+                    let reply = SampleReply {
+                        chunks: chunks.into_iter().map(Into::into).collect(),
+                        offset,
+                        waiting: String::new(),
+                    };
+                    self.reply(reply).await?;
+                }
+                Err((chunk, error)) => {
+                    self.state.undo_draw(draw, self.sampler.sequence_length());
+                    self.drop_unreadable(&chunk, &error)?;
+                    self.credits.push_front((draw, 1));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn drop_unreadable(&self, chunk: &ChunkRef, error: &ReplayError) -> Result<(), ServiceError> {
+        let ReplayError::Damaged { reason, .. } = error else {
+            // The disk may recover; the data is not known to be lost.
+            return Err(ServiceError::Unavailable(error.to_string()));
+        };
+        tracing::warn!(%error, "took a damaged replay record out of service");
+        self.state.store.quarantine(chunk, reason);
+        Ok(())
+    }
+
+    /// Tells the peer why it waits, once per reason.
+    async fn announce(&mut self) -> Result<(), ServiceError> {
+        let Some((draw, _)) = self.credits.front().copied() else {
+            return Ok(());
+        };
+        let Some(waiting) = self
+            .state
+            .why_draw_waits(draw, self.sampler.sequence_length())
+        else {
+            return Ok(());
+        };
+        if waiting == self.announced {
+            return Ok(());
+        }
+        self.announced.clone_from(&waiting);
+        self.reply(SampleReply {
+            waiting,
+            ..SampleReply::default()
+        })
+        .await
+    }
+
+    async fn reply(&self, reply: SampleReply) -> Result<(), ServiceError> {
+        self.replies.send(Ok(reply)).await.map_err(|_| stopping())
+    }
+}
+
+/// All chunks of a sequence, or the one that cannot be read.
+fn read(sequence: &SequenceRef) -> Result<Vec<Chunk>, (ChunkRef, ReplayError)> {
+    sequence
+        .chunks
+        .iter()
+        .map(|chunk| chunk.read().map_err(|error| (chunk.clone(), error)))
+        .collect()
+}

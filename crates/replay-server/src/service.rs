@@ -1,0 +1,153 @@
+//! The gRPC service: handshakes here, streams in their own tasks.
+
+use std::sync::Arc;
+
+use isodream_proto::v1::replay_service_server::ReplayService;
+use isodream_proto::v1::{
+    AppendReply, AppendRequest, Handshake, Hello, ReplayStatus, ReplayStatusRequest, SampleHello,
+    SampleReply, SampleRequest, append_request, sample_request,
+};
+use isodream_proto::{Identity, Mismatch};
+use isodream_replay::{Sampler, StoreIdentity};
+use isodream_rpc::ServiceError;
+use isodream_rpc::limits::HELLO_TIMEOUT;
+use tokio::sync::oneshot;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::{Request, Response, Status, Streaming};
+
+use crate::commit::{Command, answered};
+use crate::state::State;
+use crate::{append, sample};
+
+pub(crate) struct ReplayServer {
+    state: Arc<State>,
+}
+
+impl ReplayServer {
+    pub(crate) fn new(state: Arc<State>) -> Self {
+        Self { state }
+    }
+
+    /// Accepts a peer that belongs to the store; the first one decides what that is.
+    async fn check(&self, handshake: Option<&Handshake>) -> Result<(), ServiceError> {
+        let peer = handshake.ok_or(Mismatch::Missing)?;
+        let theirs = Identity {
+            env_spec_hash: peer.env_spec_hash.clone(),
+            env_spec: peer.env_spec.clone(),
+            model_hash: String::new(),
+        };
+        // Only the protocol version can differ here: an outdated peer must not decide the store's identity.
+        theirs.check(handshake)?;
+        if theirs.env_spec_hash.is_empty() || theirs.env_spec_hash.contains('\n') {
+            return Err(ServiceError::Invalid(
+                "the handshake names no environment; connect with an isodream client".to_owned(),
+            ));
+        }
+        let (answer, stored) = oneshot::channel();
+        let offered = StoreIdentity {
+            env_spec_hash: theirs.env_spec_hash,
+            env_spec: theirs.env_spec,
+        };
+        self.state
+            .command(Command::Identity { offered, answer })
+            .await?;
+        let stored = answered(stored).await?;
+        let ours = Identity {
+            env_spec_hash: stored.env_spec_hash,
+            env_spec: stored.env_spec,
+            model_hash: String::new(),
+        };
+        Ok(ours.check(handshake)?)
+    }
+
+    async fn begin(&self, hello: &Hello) -> Result<u64, ServiceError> {
+        self.check(hello.handshake.as_ref()).await?;
+        let (answer, next_seq) = oneshot::channel();
+        let command = Command::Begin {
+            actor_id: hello.actor_id.clone(),
+            epoch: hello.epoch,
+            acknowledged_seq: hello.acknowledged_seq,
+            answer,
+        };
+        self.state.command(command).await?;
+        answered(next_seq).await
+    }
+
+    async fn sampler(&self, hello: &SampleHello) -> Result<Sampler, ServiceError> {
+        self.check(hello.handshake.as_ref()).await?;
+        if hello.sequence_length == 0 {
+            return Err(ServiceError::Invalid("the sequence length is 0".to_owned()));
+        }
+        self.state
+            .learner_connected(hello.sequence_length, hello.sampled_steps);
+        Ok(Sampler::new(hello.seed, hello.sequence_length))
+    }
+}
+
+/// A stream's first message, within its deadline.
+async fn first<T>(requests: &mut Streaming<T>) -> Result<T, Status> {
+    tokio::time::timeout(HELLO_TIMEOUT, requests.message())
+        .await
+        .map_err(|_| ServiceError::Unavailable(format!("no hello came within {HELLO_TIMEOUT:?}")))??
+        .ok_or_else(|| {
+            ServiceError::Unavailable("the stream ended before its hello".to_owned()).into()
+        })
+}
+
+#[tonic::async_trait]
+impl ReplayService for ReplayServer {
+    type AppendStream = ReceiverStream<Result<AppendReply, Status>>;
+    type SampleStream = ReceiverStream<Result<SampleReply, Status>>;
+
+    async fn append(
+        &self,
+        request: Request<Streaming<AppendRequest>>,
+    ) -> Result<Response<Self::AppendStream>, Status> {
+        let peer = request.remote_addr();
+        let mut requests = request.into_inner();
+        let Some(append_request::Kind::Hello(hello)) = first(&mut requests).await?.kind else {
+            return Err(ServiceError::from(Mismatch::Missing).into());
+        };
+        let next_seq = self.begin(&hello).await.inspect_err(|error| {
+            tracing::warn!(actor = %hello.actor_id, epoch = hello.epoch, ?peer, %error, "refused an actor");
+        })?;
+        tracing::info!(actor = %hello.actor_id, epoch = hello.epoch, next_seq, ?peer, "actor connected");
+        let replies = append::start(
+            self.state.clone(),
+            requests,
+            next_seq,
+            hello.actor_id,
+            hello.epoch,
+        );
+        Ok(Response::new(ReceiverStream::new(replies)))
+    }
+
+    async fn sample(
+        &self,
+        request: Request<Streaming<SampleRequest>>,
+    ) -> Result<Response<Self::SampleStream>, Status> {
+        let peer = request.remote_addr();
+        let mut requests = request.into_inner();
+        let Some(sample_request::Kind::Hello(hello)) = first(&mut requests).await?.kind else {
+            return Err(ServiceError::from(Mismatch::Missing).into());
+        };
+        let sampler = self.sampler(&hello).await.inspect_err(|error| {
+            tracing::warn!(?peer, %error, "refused a learner");
+        })?;
+        tracing::info!(
+            ?peer,
+            sequence_length = hello.sequence_length,
+            sampled_steps = hello.sampled_steps,
+            "learner connected"
+        );
+        let replies = sample::start(self.state.clone(), requests, sampler);
+        Ok(Response::new(ReceiverStream::new(replies)))
+    }
+
+    async fn status(
+        &self,
+        _request: Request<ReplayStatusRequest>,
+    ) -> Result<Response<ReplayStatus>, Status> {
+        Ok(Response::new(self.state.status()))
+    }
+}

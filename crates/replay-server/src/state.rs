@@ -1,0 +1,163 @@
+//! What all streams of a server share.
+
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use isodream_proto::v1::ReplayStatus;
+use isodream_replay::{Draw, LimiterOptions, RateLimiter, Sampler, SequenceRef, Store};
+use isodream_rpc::ServiceError;
+use tokio::sync::{Notify, mpsc};
+use tokio_util::sync::CancellationToken;
+
+use crate::commit::Command;
+
+pub(crate) struct State {
+    pub(crate) store: Store,
+    limiter: Mutex<RateLimiter>,
+    /// Wakes every stream that waits for the limiter.
+    pub(crate) changed: Notify,
+    commands: mpsc::Sender<Command>,
+    pub(crate) stop: CancellationToken,
+    /// The learner's; 0 before the first one connects.
+    sequence_length: AtomicU32,
+}
+
+impl State {
+    pub(crate) fn new(
+        store: Store,
+        limiter: LimiterOptions,
+        commands: mpsc::Sender<Command>,
+        stop: CancellationToken,
+    ) -> Self {
+        let inserted_steps = store.stats().inserted_steps;
+        Self {
+            store,
+            limiter: Mutex::new(RateLimiter::new(limiter, inserted_steps)),
+            changed: Notify::new(),
+            commands,
+            stop,
+            sequence_length: AtomicU32::new(0),
+        }
+    }
+
+    /// Hands a command to the commit thread; waits while its queue is full.
+    pub(crate) async fn command(&self, command: Command) -> Result<(), ServiceError> {
+        self.commands.send(command).await.map_err(|_| stopping())
+    }
+
+    /// Admits an insert, or says why it waits.
+    pub(crate) fn try_insert(self: &Arc<Self>, steps: u32) -> Result<Admission, String> {
+        let can_sample = self.can_sample();
+        {
+            let mut limiter = self.limiter();
+            if let Some(why) = limiter.why_insert_waits(can_sample) {
+                return Err(why);
+            }
+            limiter.insert(u64::from(steps));
+        }
+        Ok(Admission {
+            state: self.clone(),
+            steps: u64::from(steps),
+        })
+    }
+
+    /// Admits a draw and makes it, or says why it waits.
+    pub(crate) fn try_draw(
+        &self,
+        draw: Draw,
+        sampler: &mut Sampler,
+    ) -> Result<SequenceRef, String> {
+        let length = sampler.sequence_length();
+        let can_sample = self.store.can_sample(length);
+        let sequence = {
+            let mut limiter = self.limiter();
+            if let Some(why) = limiter.why_sample_waits(draw, can_sample) {
+                return Err(why);
+            }
+            // Eviction may have come between.
+            let Some(sequence) = sampler.draw(&self.store) else {
+                return Err("no episode is long enough for a sequence".to_owned());
+            };
+            limiter.sample(draw, u64::from(length));
+            sequence
+        };
+        self.changed.notify_waiters();
+        Ok(sequence)
+    }
+
+    /// Why a draw of `sequence_length` steps waits.
+    pub(crate) fn why_draw_waits(&self, draw: Draw, sequence_length: u32) -> Option<String> {
+        let can_sample = self.store.can_sample(sequence_length);
+        self.limiter().why_sample_waits(draw, can_sample)
+    }
+
+    /// Takes back an admitted draw that was not sent.
+    pub(crate) fn undo_draw(&self, draw: Draw, sequence_length: u32) {
+        self.limiter().undo_sample(draw, u64::from(sequence_length));
+        self.changed.notify_waiters();
+    }
+
+    /// A learner connects: its count and its sequence length are what the limiter works with.
+    pub(crate) fn learner_connected(&self, sequence_length: u32, sampled_steps: u64) {
+        self.sequence_length
+            .store(sequence_length, Ordering::Relaxed);
+        self.limiter().set_sampled(sampled_steps);
+        self.changed.notify_waiters();
+    }
+
+    pub(crate) fn status(&self) -> ReplayStatus {
+        let stats = self.store.stats();
+        let can_sample = self.can_sample();
+        let limiter = self.limiter();
+        ReplayStatus {
+            steps: stats.steps,
+            episodes: stats.episodes,
+            bytes: stats.bytes,
+            inserted_steps: stats.inserted_steps,
+            sampled_steps: limiter.sampled_steps(),
+            quarantined_records: stats.quarantined_records,
+            insert_waiting: limiter.why_insert_waits(can_sample).unwrap_or_default(),
+            sample_waiting: limiter
+                .why_sample_waits(Draw::Limited, can_sample)
+                .unwrap_or_default(),
+        }
+    }
+
+    /// Whether the learner could be served. Before one connects nobody knows its length, and one step will do.
+    fn can_sample(&self) -> bool {
+        self.store
+            .can_sample(self.sequence_length.load(Ordering::Relaxed).max(1))
+    }
+
+    fn limiter(&self) -> MutexGuard<'_, RateLimiter> {
+        self.limiter.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Steps that the limiter counts as inserted. Dropped without [`Admission::stored`], wherever a stream or the
+/// server was interrupted, it takes them back.
+pub(crate) struct Admission {
+    state: Arc<State>,
+    steps: u64,
+}
+
+impl Admission {
+    /// The steps are durable and stay counted.
+    pub(crate) fn stored(mut self) {
+        self.steps = 0;
+    }
+}
+
+impl Drop for Admission {
+    fn drop(&mut self) {
+        if self.steps > 0 {
+            self.state.limiter().undo_insert(self.steps);
+            self.state.changed.notify_waiters();
+        }
+    }
+}
+
+/// The answer to everyone who is served while the server stops.
+pub(crate) fn stopping() -> ServiceError {
+    ServiceError::Unavailable("the replay-server is shutting down".to_owned())
+}

@@ -1,0 +1,179 @@
+//! A real server on loopback, in a runtime of its own so that it can die at any await point.
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use isodream_core::{Chunk, EnvSpec, ImageShape};
+use isodream_proto::Identity;
+use isodream_replay::{LimiterOptions, StoreOptions};
+use isodream_replay_server::{ServerOptions, serve};
+use isodream_rpc::{AppendClient, AppendOptions, RpcError, SampleClient, SampleOptions};
+use tokio::runtime::Runtime;
+use tokio::task::JoinHandle;
+use tokio_util::sync::CancellationToken;
+
+/// Longer than anything here takes on a busy machine.
+pub(crate) const DEADLINE: Duration = Duration::from_secs(30);
+/// Steps per chunk.
+pub(crate) const STEPS: u32 = 10;
+
+pub(crate) const NO_LIMIT: LimiterOptions = LimiterOptions {
+    min_steps: 0,
+    samples_per_insert: 0.0,
+    tolerance_steps: 0.0,
+};
+
+pub(crate) struct Server {
+    pub(crate) address: String,
+    runtime: Runtime,
+    shutdown: CancellationToken,
+    running: JoinHandle<anyhow::Result<()>>,
+}
+
+impl Server {
+    /// Starts a server on a free port.
+    pub(crate) fn start(folder: &Path, limiter: LimiterOptions) -> Self {
+        Self::start_on("127.0.0.1:0", folder, limiter)
+    }
+
+    /// Starts a server, once the folder and the address of its predecessor are free.
+    pub(crate) fn start_on(address: &str, folder: &Path, limiter: LimiterOptions) -> Self {
+        let runtime = Runtime::new().unwrap();
+        let options = ServerOptions {
+            folder: folder.to_owned(),
+            store: StoreOptions {
+                capacity_steps: u64::MAX,
+                segment_bytes: 8192,
+            },
+            limiter,
+        };
+        let since = Instant::now();
+        loop {
+            let listener = match runtime.block_on(isodream_rpc::bind(address)) {
+                Ok(listener) => listener,
+                // The predecessor's runtime lets go of it in its own time.
+                Err(RpcError::InUse { .. }) if since.elapsed() < DEADLINE => {
+                    std::thread::sleep(Duration::from_millis(10));
+                    continue;
+                }
+                Err(error) => panic!("{error}"),
+            };
+            let address = listener.local_addr().unwrap().to_string();
+            let shutdown = CancellationToken::new();
+            let running = runtime.spawn(serve(options.clone(), listener, shutdown.clone()));
+            let up = runtime.block_on(async {
+                let mut client = isodream_rpc::replay_client(&address).unwrap();
+                while !running.is_finished() {
+                    if client
+                        .status(isodream_proto::v1::ReplayStatusRequest {})
+                        .await
+                        .is_ok()
+                    {
+                        return true;
+                    }
+                    tokio::time::sleep(Duration::from_millis(10)).await;
+                }
+                false
+            });
+            if up {
+                return Self {
+                    address,
+                    runtime,
+                    shutdown,
+                    running,
+                };
+            }
+            assert!(since.elapsed() < DEADLINE, "the folder stays locked");
+        }
+    }
+
+    /// Drops everything at whatever await point it is.
+    pub(crate) fn kill(self) {
+        self.runtime.shutdown_background();
+    }
+
+    /// Shuts down as a signal would.
+    pub(crate) fn stop(self) -> anyhow::Result<()> {
+        self.shutdown.cancel();
+        self.runtime
+            .block_on(async { tokio::time::timeout(DEADLINE, self.running).await })
+            .unwrap()
+            .unwrap()
+    }
+}
+
+pub(crate) fn spec(id: &str) -> EnvSpec {
+    EnvSpec {
+        id: id.to_owned(),
+        image: ImageShape {
+            height: 2,
+            width: 2,
+            channels: 3,
+        },
+        action_dim: 2,
+        action_repeat: 1,
+        time_limit: 100,
+    }
+}
+
+pub(crate) fn identity(id: &str) -> Identity {
+    Identity::new(&spec(id), "")
+}
+
+pub(crate) fn actor(address: &str, epoch: u64, spool_chunks: usize) -> AppendClient {
+    AppendClient::start(AppendOptions {
+        address: address.to_owned(),
+        identity: identity("highway/day"),
+        actor_id: "actor-0".into(),
+        epoch,
+        spool_chunks,
+    })
+    .unwrap()
+}
+
+pub(crate) fn sampling(address: &str, sequence_length: u32) -> SampleOptions {
+    SampleOptions {
+        address: address.to_owned(),
+        identity: identity("highway/day"),
+        sequence_length,
+        seed: 1,
+        prefetch: 4,
+        sampled_steps: 0,
+        unlimited_sequences: 0,
+    }
+}
+
+pub(crate) fn learner(address: &str, sequence_length: u32) -> SampleClient {
+    SampleClient::start(sampling(address, sequence_length)).unwrap()
+}
+
+/// Chunk `index` of one long episode; numbers are the client's business.
+pub(crate) fn chunk(index: u64) -> Chunk {
+    Chunk {
+        actor_id: String::new(),
+        epoch: 0,
+        seq: 0,
+        episode_id: 77,
+        first_step: index as u32 * STEPS,
+        steps: STEPS,
+        ends_episode: false,
+        payload: payload(index),
+    }
+}
+
+pub(crate) fn payload(index: u64) -> Bytes {
+    (0..300_u64).map(|byte| (byte * 31 + index) as u8).collect()
+}
+
+/// Waits until `condition` holds.
+pub(crate) async fn until<T>(what: &str, mut condition: impl FnMut() -> Option<T>) -> T {
+    let since = Instant::now();
+    loop {
+        if let Some(value) = condition() {
+            return value;
+        }
+        assert!(since.elapsed() < DEADLINE, "waited too long: {what}");
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+}

@@ -1,0 +1,7 @@
+//! The replay service end to end: a real server on loopback, real clients.
+
+#![allow(clippy::unwrap_used)]
+
+mod common;
+mod experience;
+mod refusals;

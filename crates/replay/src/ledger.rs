@@ -1,0 +1,129 @@
+//! Exactly once: which chunk every actor has to send next.
+
+use std::collections::BTreeMap;
+
+use isodream_core::Chunk;
+
+use crate::ReplayError;
+
+/// An actor's position.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Progress {
+    /// The actor.
+    pub actor_id: String,
+    /// Its newest epoch; older ones are fenced off.
+    pub epoch: u64,
+    /// The next sequence number of that epoch.
+    pub next_seq: u64,
+}
+
+/// What became of a chunk.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Outcome {
+    /// It is durable.
+    Stored {
+        /// The next sequence number that is expected.
+        next_seq: u64,
+    },
+    /// It was durable already and is not stored again.
+    Duplicate {
+        /// The next sequence number that is expected.
+        next_seq: u64,
+    },
+    /// Chunks before it are missing; it is not stored.
+    Gap {
+        /// The sequence number that has to come first.
+        expected_seq: u64,
+    },
+    /// A newer epoch of the actor exists; it is not stored.
+    Fenced {
+        /// The newest epoch.
+        newer_epoch: u64,
+    },
+    /// It breaks a limit of the store; it is not stored.
+    Invalid {
+        /// Names the chunk and the limit.
+        reason: String,
+    },
+}
+
+/// Positions of all actors.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Ledger {
+    positions: BTreeMap<String, (u64, u64)>,
+}
+
+impl Ledger {
+    /// Judges `chunk` and advances over it where it has to be stored.
+    pub(crate) fn admit(&mut self, chunk: &Chunk) -> Outcome {
+        let known = self.positions.get(&chunk.actor_id).copied();
+        let expected_seq = match known {
+            Some((epoch, _)) if chunk.epoch < epoch => {
+                return Outcome::Fenced { newer_epoch: epoch };
+            }
+            Some((epoch, next_seq)) if chunk.epoch == epoch => next_seq,
+            _ => 0,
+        };
+        if chunk.seq < expected_seq {
+            return Outcome::Duplicate {
+                next_seq: expected_seq,
+            };
+        }
+        if chunk.seq > expected_seq {
+            return Outcome::Gap { expected_seq };
+        }
+        let next_seq = expected_seq + 1;
+        self.positions
+            .insert(chunk.actor_id.clone(), (chunk.epoch, next_seq));
+        Outcome::Stored { next_seq }
+    }
+
+    /// An actor's start or reconnection. Returns its position and whether that is news worth writing down.
+    ///
+    /// `acknowledged_seq` is what the actor was promised: where the store lost the record (quarantine,
+    /// reset) the actor no longer has the chunk either, so the store moves on with it.
+    pub(crate) fn begin(
+        &mut self,
+        actor_id: &str,
+        epoch: u64,
+        acknowledged_seq: u64,
+    ) -> Result<(u64, bool), ReplayError> {
+        let known = self.positions.get(actor_id).copied();
+        if let Some((newer, _)) = known.filter(|(known, _)| epoch < *known) {
+            return Err(ReplayError::Fenced {
+                actor_id: actor_id.to_owned(),
+                epoch,
+                newer,
+            });
+        }
+        let stored_seq = known
+            .filter(|(known, _)| epoch == *known)
+            .map(|(_, seq)| seq);
+        let next_seq = stored_seq.unwrap_or(0).max(acknowledged_seq);
+        self.positions
+            .insert(actor_id.to_owned(), (epoch, next_seq));
+        Ok((next_seq, stored_seq != Some(next_seq)))
+    }
+
+    /// Takes over a stored position; positions never move backwards.
+    pub(crate) fn recover(&mut self, actor_id: &str, epoch: u64, next_seq: u64) {
+        match self.positions.get_mut(actor_id) {
+            Some(position) => *position = (*position).max((epoch, next_seq)),
+            None => {
+                self.positions
+                    .insert(actor_id.to_owned(), (epoch, next_seq));
+            }
+        }
+    }
+
+    pub(crate) fn progress(&self) -> Vec<Progress> {
+        self.positions
+            .iter()
+            .map(|(actor_id, &(epoch, next_seq))| Progress {
+                actor_id: actor_id.clone(),
+                epoch,
+                next_seq,
+            })
+            .collect()
+    }
+}

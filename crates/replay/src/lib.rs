@@ -1,0 +1,39 @@
+//! Durable experience storage: segment log, index, sequence sampler, rate limiter.
+//!
+//! A library without a network and without an async runtime. [`Store::open`] gives two halves:
+//! - [`StoreWriter`], one per folder, which judges chunks (exactly once, epoch fencing), writes a group of
+//!   them, makes it durable with one `fdatasync` and only then lets the index know;
+//! - [`Store`], cloned freely, from which a [`Sampler`] draws sequences. Reads take no lock.
+//!
+//! The [`RateLimiter`] is pure accounting beside them.
+//!
+//! # What survives what
+//! A chunk that [`StoreWriter::commit`] reported as stored survives a crash of process or machine. It
+//! disappears in three ways only: eviction by [`StoreOptions::capacity_steps`], removal of the folder, or a
+//! damaged record, which is skipped, counted and listed ([`Quarantined`]).
+
+mod error;
+mod folder;
+mod index;
+mod ledger;
+mod limiter;
+mod log;
+mod record;
+mod sampler;
+mod scan;
+mod segment;
+mod store;
+mod writer;
+
+pub use error::ReplayError;
+pub use folder::StoreIdentity;
+pub use index::{IndexStats, SequenceRef};
+pub use ledger::{Outcome, Progress};
+pub use limiter::{Draw, LimiterOptions, RateLimiter};
+pub use log::{Appended, DurablePosition, LogPosition, LogRecovery, SegmentLog, WrittenPosition};
+pub use record::{MAX_ACTOR_ID_BYTES, MAX_PAYLOAD_BYTES, Record, Snapshot};
+pub use sampler::Sampler;
+pub use scan::Quarantined;
+pub use segment::ChunkRef;
+pub use store::{Recovery, Store, StoreOptions, StoreStats};
+pub use writer::StoreWriter;

@@ -1,0 +1,390 @@
+//! The append-only log: segment files written by one thread.
+//!
+//! *Written* and *durable* are different facts and different types: only [`SegmentLog::sync`] turns one into
+//! the other.
+
+use std::collections::BTreeMap;
+use std::fs::{self, OpenOptions};
+use std::os::unix::fs::FileExt;
+use std::path::Path;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use isodream_core::Chunk;
+
+use crate::folder::Folder;
+use crate::record::{self, Record, Snapshot};
+use crate::scan::{self, Piece, Quarantined};
+use crate::segment::{ChunkRef, Segment};
+use crate::{Progress, ReplayError};
+
+/// A place in the log.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct LogPosition {
+    /// Number of the segment.
+    pub segment: u64,
+    /// Byte offset in the segment.
+    pub offset: u64,
+}
+
+/// Everything before it was handed to the operating system. A crash of the machine may lose it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct WrittenPosition(pub LogPosition);
+
+/// Everything before it survived `fdatasync`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct DurablePosition(pub LogPosition);
+
+/// What an append did.
+#[derive(Debug)]
+pub struct Appended {
+    /// Where the chunks among the records lie, in order.
+    pub chunks: Vec<ChunkRef>,
+    /// The new end of the log.
+    pub written: WrittenPosition,
+}
+
+/// What opening a log found.
+#[derive(Debug, Default)]
+pub struct LogRecovery {
+    /// Segments read.
+    pub segments: usize,
+    /// Bytes cut from the end of the last segment: a write that a crash interrupted.
+    pub torn_bytes: u64,
+    /// Damaged stretches elsewhere.
+    pub quarantined: Vec<Quarantined>,
+}
+
+/// A stored record, met while opening a log.
+pub(crate) enum Recovered {
+    Chunk(Chunk, ChunkRef),
+    Snapshot(Snapshot),
+    Progress(Progress),
+}
+
+/// The log of one folder. It holds the folder's lock for as long as it lives.
+#[derive(Debug)]
+pub struct SegmentLog {
+    folder: Folder,
+    segment_bytes: u64,
+    segments: BTreeMap<u64, Arc<Segment>>,
+    /// The segment that grows; none before the first append to a fresh folder.
+    current: Option<Arc<Segment>>,
+    last_number: u64,
+    written: u64,
+    durable: u64,
+    stopped: bool,
+}
+
+impl SegmentLog {
+    /// Opens or makes the log in `folder`; segments are closed once they exceed `segment_bytes`.
+    ///
+    /// Damaged records are skipped and reported, a torn tail is cut and reported.
+    ///
+    /// # Errors
+    /// [`ReplayError`] where the folder is in use, has another format or cannot be read.
+    pub fn open(folder: &Path, segment_bytes: u64) -> Result<(Self, LogRecovery), ReplayError> {
+        Self::open_with(Folder::open(folder)?, segment_bytes, &mut |_| {})
+    }
+
+    /// Like [`SegmentLog::open`]; `visit` sees every readable record in order.
+    pub(crate) fn open_with(
+        folder: Folder,
+        segment_bytes: u64,
+        visit: &mut dyn FnMut(Recovered),
+    ) -> Result<(Self, LogRecovery), ReplayError> {
+        let numbers = list_segments(folder.path())?;
+        let last_number = numbers.last().copied().unwrap_or(0);
+        let mut log = Self {
+            folder,
+            segment_bytes,
+            segments: BTreeMap::new(),
+            current: None,
+            last_number,
+            written: 0,
+            durable: 0,
+            stopped: false,
+        };
+        let mut recovery = LogRecovery {
+            segments: numbers.len(),
+            ..LogRecovery::default()
+        };
+        for number in numbers {
+            log.recover_segment(number, visit, &mut recovery)?;
+        }
+        Ok((log, recovery))
+    }
+
+    fn recover_segment(
+        &mut self,
+        number: u64,
+        visit: &mut dyn FnMut(Recovered),
+        recovery: &mut LogRecovery,
+    ) -> Result<(), ReplayError> {
+        let path = Segment::path_of(self.folder.path(), number);
+        let content = Bytes::from(fs::read(&path).map_err(ReplayError::io("read", &path))?);
+        let file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .open(&path)
+            .map_err(ReplayError::io("open", &path))?;
+        let segment = Arc::new(Segment { number, path, file });
+        let pieces = scan::scan(&content);
+        let mut end = content.len();
+        if number == self.last_number {
+            end = scan::torn_at(&pieces).unwrap_or(end);
+            recovery.torn_bytes += (content.len() - end) as u64;
+            if !self.resume(&segment, end, content.len())? {
+                return Ok(());
+            }
+        }
+        for piece in pieces {
+            match piece {
+                Piece::Good { range, .. } if range.start >= end => {}
+                Piece::Good { range, record, .. } => visit(match record {
+                    Record::Chunk(chunk) => {
+                        let place = ChunkRef {
+                            segment: segment.clone(),
+                            offset: range.start as u64,
+                            frame_bytes: range.len() as u32,
+                            first_step: chunk.first_step,
+                            steps: chunk.steps,
+                        };
+                        Recovered::Chunk(chunk, place)
+                    }
+                    Record::Snapshot(snapshot) => Recovered::Snapshot(snapshot),
+                    Record::Progress(progress) => Recovered::Progress(progress),
+                }),
+                Piece::Bad { range, .. } if range.start >= end => {}
+                Piece::Bad { range, reason } => recovery.quarantined.push(Quarantined {
+                    segment: segment.path.clone(),
+                    offset: range.start as u64,
+                    bytes: (range.end.min(end) - range.start) as u64,
+                    reason,
+                }),
+            }
+        }
+        self.segments.insert(number, segment);
+        Ok(())
+    }
+
+    /// Makes the newest segment the growing one, cut to `end`. A segment without even its first record was
+    /// never used: it is deleted, and the answer is false.
+    fn resume(
+        &mut self,
+        segment: &Arc<Segment>,
+        end: usize,
+        found: usize,
+    ) -> Result<bool, ReplayError> {
+        if end == 0 {
+            fs::remove_file(&segment.path).map_err(ReplayError::io("delete", &segment.path))?;
+            self.folder.sync()?;
+            return Ok(false);
+        }
+        if end < found {
+            segment
+                .file
+                .set_len(end as u64)
+                .map_err(ReplayError::io("cut", &segment.path))?;
+        }
+        // Also where nothing was cut: a process that died between write and sync leaves records that are
+        // readable but not durable, and the index is about to call them durable.
+        segment
+            .file
+            .sync_all()
+            .map_err(|source| ReplayError::Sync {
+                path: segment.path.clone(),
+                source,
+            })?;
+        self.current = Some(segment.clone());
+        self.written = end as u64;
+        self.durable = end as u64;
+        Ok(true)
+    }
+
+    /// Writes `records` behind the end of the log. A new segment starts with `snapshot`, the state before
+    /// these records.
+    ///
+    /// # Errors
+    /// On [`ReplayError::Full`], [`ReplayError::Io`] and [`ReplayError::InvalidChunk`] nothing of `records`
+    /// was kept and the log stays usable; [`ReplayError::is_fatal`] errors end it.
+    pub fn append(
+        &mut self,
+        records: &[Record],
+        snapshot: impl FnOnce() -> Snapshot,
+    ) -> Result<Appended, ReplayError> {
+        self.check_running()?;
+        for record in records {
+            if let Record::Chunk(chunk) = record {
+                record::check(chunk)?;
+            }
+        }
+        let segment = self.room(snapshot)?;
+        let mut frames = Vec::new();
+        let mut chunks = Vec::new();
+        for record in records {
+            let offset = self.written + frames.len() as u64;
+            let frame_bytes = record::encode(record, self.durable, &mut frames);
+            if let Record::Chunk(chunk) = record {
+                chunks.push(ChunkRef {
+                    segment: segment.clone(),
+                    offset,
+                    frame_bytes: frame_bytes as u32,
+                    first_step: chunk.first_step,
+                    steps: chunk.steps,
+                });
+            }
+        }
+        if let Err(error) = segment.file.write_all_at(&frames, self.written) {
+            self.roll_back(&segment);
+            return Err(ReplayError::io("write to", &segment.path)(error));
+        }
+        self.written += frames.len() as u64;
+        Ok(Appended {
+            chunks,
+            written: self.written(),
+        })
+    }
+
+    /// Makes everything written durable.
+    ///
+    /// # Errors
+    /// [`ReplayError::Sync`], which is fatal: after a failed sync the kernel may have dropped the pages, so
+    /// trying again could report success for lost data.
+    pub fn sync(&mut self) -> Result<DurablePosition, ReplayError> {
+        self.check_running()?;
+        if let Some(segment) = self
+            .current
+            .as_ref()
+            .filter(|_| self.durable < self.written)
+        {
+            if let Err(source) = segment.file.sync_data() {
+                self.stopped = true;
+                return Err(ReplayError::Sync {
+                    path: segment.path.clone(),
+                    source,
+                });
+            }
+            self.durable = self.written;
+        }
+        Ok(self.durable())
+    }
+
+    /// The end of what was written.
+    pub fn written(&self) -> WrittenPosition {
+        WrittenPosition(LogPosition {
+            segment: self.last_number,
+            offset: self.written,
+        })
+    }
+
+    /// The end of what is durable.
+    pub fn durable(&self) -> DurablePosition {
+        DurablePosition(LogPosition {
+            segment: self.last_number,
+            offset: self.durable,
+        })
+    }
+
+    pub(crate) fn folder(&self) -> &Folder {
+        &self.folder
+    }
+
+    /// Deletes the closed segments that `keep` does not name; returns how many.
+    pub(crate) fn delete_segments(
+        &mut self,
+        keep: impl Fn(u64) -> bool,
+    ) -> Result<usize, ReplayError> {
+        let current = self.current.as_ref().map(|segment| segment.number);
+        let dead: Vec<_> = self
+            .segments
+            .values()
+            .filter(|segment| Some(segment.number) != current && !keep(segment.number))
+            .cloned()
+            .collect();
+        for segment in &dead {
+            fs::remove_file(&segment.path).map_err(ReplayError::io("delete", &segment.path))?;
+            self.segments.remove(&segment.number);
+        }
+        Ok(dead.len())
+    }
+
+    /// The growing segment, a fresh one where the last is full.
+    fn room(&mut self, snapshot: impl FnOnce() -> Snapshot) -> Result<Arc<Segment>, ReplayError> {
+        match &self.current {
+            Some(segment) if self.written < self.segment_bytes => Ok(segment.clone()),
+            _ => {
+                self.sync()?;
+                self.start_segment(snapshot())
+            }
+        }
+    }
+
+    fn start_segment(&mut self, snapshot: Snapshot) -> Result<Arc<Segment>, ReplayError> {
+        let number = self.last_number + 1;
+        let path = Segment::path_of(self.folder.path(), number);
+        let mut frame = Vec::new();
+        record::encode(&Record::Snapshot(snapshot), 0, &mut frame);
+        let created = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(true)
+            .open(&path)
+            .and_then(|file| {
+                file.write_all_at(&frame, 0)?;
+                file.sync_all()?;
+                Ok(file)
+            })
+            .map_err(ReplayError::io("create", &path))
+            .and_then(|file| self.folder.sync().map(|()| file));
+        let file = match created {
+            Ok(file) => file,
+            Err(error) => {
+                // The next attempt truncates it, and opening deletes or accepts it: nothing depends on this.
+                let _ = fs::remove_file(&path);
+                return Err(error);
+            }
+        };
+        let segment = Arc::new(Segment { number, path, file });
+        self.segments.insert(number, segment.clone());
+        self.current = Some(segment.clone());
+        self.last_number = number;
+        self.written = frame.len() as u64;
+        self.durable = self.written;
+        Ok(segment)
+    }
+
+    /// Cuts what a failed write left; where even that fails the log must not grow any more.
+    fn roll_back(&mut self, segment: &Segment) {
+        if let Err(error) = segment.file.set_len(self.written) {
+            tracing::error!(segment = %segment.path.display(), %error, "cannot cut a failed write");
+            self.stopped = true;
+        }
+    }
+
+    fn check_running(&self) -> Result<(), ReplayError> {
+        if self.stopped {
+            return Err(ReplayError::Stopped {
+                folder: self.folder.path().to_owned(),
+            });
+        }
+        Ok(())
+    }
+}
+
+fn list_segments(folder: &Path) -> Result<Vec<u64>, ReplayError> {
+    let mut numbers = Vec::new();
+    for entry in fs::read_dir(folder).map_err(ReplayError::io("list", folder))? {
+        let entry = entry.map_err(ReplayError::io("list", folder))?;
+        if let Some(number) = entry.file_name().to_str().and_then(Segment::number_of) {
+            numbers.push(number);
+        }
+    }
+    numbers.sort_unstable();
+    Ok(numbers)
+}
+
+#[cfg(test)]
+#[path = "log_tests.rs"]
+mod tests;

@@ -1,0 +1,101 @@
+//! One segment file and references into it.
+
+use std::fs::File;
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use bytes::Bytes;
+use isodream_core::Chunk;
+
+use crate::ReplayError;
+use crate::record::{self, HEADER_BYTES, Record};
+
+const PREFIX: &str = "segment-";
+const SUFFIX: &str = ".log";
+
+/// An open segment. A reference keeps it readable even after the file was deleted by eviction.
+#[derive(Debug)]
+pub(crate) struct Segment {
+    pub(crate) number: u64,
+    pub(crate) path: PathBuf,
+    pub(crate) file: File,
+}
+
+impl Segment {
+    pub(crate) fn path_of(folder: &Path, number: u64) -> PathBuf {
+        folder.join(format!("{PREFIX}{number:020}{SUFFIX}"))
+    }
+
+    /// The number in a segment's file name; none for other files.
+    pub(crate) fn number_of(name: &str) -> Option<u64> {
+        name.strip_prefix(PREFIX)?
+            .strip_suffix(SUFFIX)?
+            .parse()
+            .ok()
+    }
+}
+
+/// A stored chunk: where it lies and which steps it holds.
+#[derive(Debug, Clone)]
+pub struct ChunkRef {
+    pub(crate) segment: Arc<Segment>,
+    pub(crate) offset: u64,
+    pub(crate) frame_bytes: u32,
+    pub(crate) first_step: u32,
+    pub(crate) steps: u32,
+}
+
+impl ChunkRef {
+    /// Number of the segment.
+    pub fn segment(&self) -> u64 {
+        self.segment.number
+    }
+
+    /// Byte offset of the record in the segment.
+    pub fn offset(&self) -> u64 {
+        self.offset
+    }
+
+    /// Bytes the record takes on disk.
+    pub fn stored_bytes(&self) -> u64 {
+        u64::from(self.frame_bytes)
+    }
+
+    /// Index within the episode of the chunk's first step.
+    pub fn first_step(&self) -> u32 {
+        self.first_step
+    }
+
+    /// Steps the chunk holds.
+    pub fn steps(&self) -> u32 {
+        self.steps
+    }
+
+    /// Reads the chunk and verifies its checksums. Blocks on the disk, takes no lock.
+    ///
+    /// # Errors
+    /// [`ReplayError::Damaged`] where a checksum fails, [`ReplayError::Io`] where the disk does.
+    pub fn read(&self) -> Result<Chunk, ReplayError> {
+        let mut frame = vec![0; self.frame_bytes as usize];
+        self.segment
+            .file
+            .read_exact_at(&mut frame, self.offset)
+            .map_err(ReplayError::io("read", &self.segment.path))?;
+        let damaged = |reason| ReplayError::Damaged {
+            path: self.segment.path.clone(),
+            offset: self.offset,
+            reason,
+        };
+        let frame = Bytes::from(frame);
+        let header = record::decode_header(&frame).map_err(damaged)?;
+        match record::decode_body(&header, &frame.slice(HEADER_BYTES..)).map_err(damaged)? {
+            Record::Chunk(chunk) => Ok(chunk),
+            Record::Snapshot(_) | Record::Progress(_) => Err(damaged("it is not a chunk")),
+        }
+    }
+
+    pub(crate) fn same_place(&self, other: &Self) -> bool {
+        self.segment.number == other.segment.number && self.offset == other.offset
+    }
+}

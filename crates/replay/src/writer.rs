@@ -1,0 +1,152 @@
+//! The writing half of a store: one per folder.
+
+use isodream_core::Chunk;
+
+use crate::ledger::{Ledger, Outcome};
+use crate::log::SegmentLog;
+use crate::record::{self, MAX_ACTOR_ID_BYTES, Record, Snapshot};
+use crate::{Progress, ReplayError, Store, StoreIdentity};
+
+/// Writes to a store and owns its folder's lock. Every method blocks on the disk: give it a thread of its own.
+#[derive(Debug)]
+pub struct StoreWriter {
+    log: SegmentLog,
+    ledger: Ledger,
+    store: Store,
+    capacity_steps: u64,
+}
+
+impl StoreWriter {
+    pub(crate) fn new(log: SegmentLog, ledger: Ledger, store: Store, capacity_steps: u64) -> Self {
+        Self {
+            log,
+            ledger,
+            store,
+            capacity_steps,
+        }
+    }
+
+    /// What the store belongs to: the first identity ever offered, kept durably.
+    ///
+    /// # Errors
+    /// [`ReplayError`] where the identity file cannot be read or written.
+    pub fn adopt_identity(
+        &mut self,
+        offered: &StoreIdentity,
+    ) -> Result<StoreIdentity, ReplayError> {
+        if let Some(stored) = self.log.folder().identity()? {
+            return Ok(stored);
+        }
+        self.log.folder().set_identity(offered)?;
+        Ok(offered.clone())
+    }
+
+    /// An actor connects: fences off its older epochs, durably. Returns the sequence number it has to send
+    /// next.
+    ///
+    /// `acknowledged_seq` is what the actor was promised so far (0 at first): where the store lost those
+    /// records, for example to a reset, it moves on with the actor.
+    ///
+    /// # Errors
+    /// [`ReplayError::Fenced`] for an older epoch, [`ReplayError::InvalidChunk`] for an actor id that cannot
+    /// be stored, else the errors of [`SegmentLog::append`] and [`SegmentLog::sync`].
+    pub fn begin(
+        &mut self,
+        actor_id: &str,
+        epoch: u64,
+        acknowledged_seq: u64,
+    ) -> Result<u64, ReplayError> {
+        if actor_id.is_empty() || actor_id.len() > MAX_ACTOR_ID_BYTES {
+            return Err(ReplayError::InvalidChunk {
+                actor_id: actor_id.chars().take(MAX_ACTOR_ID_BYTES).collect(),
+                seq: acknowledged_seq,
+                reason: "its actor id must have 1 to 255 bytes",
+            });
+        }
+        let before = self.ledger.clone();
+        let (next_seq, is_news) = self.ledger.begin(actor_id, epoch, acknowledged_seq)?;
+        if is_news {
+            let progress = Progress {
+                actor_id: actor_id.to_owned(),
+                epoch,
+                next_seq,
+            };
+            self.write(&[Record::Progress(progress)], before)?;
+        }
+        Ok(next_seq)
+    }
+
+    /// Stores a group of chunks with one sync. What became of each is answered in order; every
+    /// [`Outcome::Stored`] survived `fdatasync` and can be sampled.
+    ///
+    /// # Errors
+    /// Nothing of the group was kept. [`ReplayError::is_fatal`] tells whether the writer is at its end.
+    pub fn commit(&mut self, chunks: Vec<Chunk>) -> Result<Vec<Outcome>, ReplayError> {
+        let before = self.ledger.clone();
+        let mut outcomes = Vec::with_capacity(chunks.len());
+        let mut records = Vec::with_capacity(chunks.len());
+        for chunk in chunks {
+            let outcome = match record::check(&chunk) {
+                Ok(()) => self.ledger.admit(&chunk),
+                Err(error) => Outcome::Invalid {
+                    reason: error.to_string(),
+                },
+            };
+            if matches!(outcome, Outcome::Stored { .. }) {
+                records.push(Record::Chunk(chunk));
+            }
+            outcomes.push(outcome);
+        }
+        if !records.is_empty() {
+            self.write(&records, before)?;
+            self.evict();
+        }
+        Ok(outcomes)
+    }
+
+    /// Writes, syncs and only then indexes; restores the ledger `before` where that fails.
+    fn write(&mut self, records: &[Record], before: Ledger) -> Result<(), ReplayError> {
+        let inserted_steps = self.store.lock().inserted_steps;
+        let snapshot = || Snapshot {
+            inserted_steps,
+            progress: before.progress(),
+        };
+        let durable = match self.log.append(records, snapshot) {
+            Ok(appended) => self.log.sync().map(|_| appended.chunks),
+            Err(error) => Err(error),
+        };
+        let places = match durable {
+            Ok(places) => places,
+            Err(error) => {
+                self.ledger = before;
+                return Err(error);
+            }
+        };
+        let chunks = records.iter().filter_map(|record| match record {
+            Record::Chunk(chunk) => Some(chunk),
+            Record::Snapshot(_) | Record::Progress(_) => None,
+        });
+        let mut held = self.store.lock();
+        for (chunk, place) in chunks.zip(places) {
+            held.inserted_steps += u64::from(chunk.steps);
+            held.index
+                .insert(chunk.episode_id, chunk.ends_episode, place);
+        }
+        Ok(())
+    }
+
+    /// Evicts down to the capacity and deletes the segments that nobody needs.
+    pub(crate) fn evict(&mut self) {
+        let evicted = self.store.lock().index.evict(self.capacity_steps);
+        let store = &self.store;
+        match self
+            .log
+            .delete_segments(|number| store.lock().index.is_live(number))
+        {
+            Ok(0) if evicted == 0 => {}
+            Ok(segments) => tracing::debug!(evicted, segments, "evicted the oldest episodes"),
+            // Tried again at the next eviction; until then the segment only takes space.
+            Err(error) => tracing::warn!(%error, "cannot delete an evicted replay segment"),
+        }
+    }
+}

@@ -1,0 +1,28 @@
+//! Every transport decision, once: channels, deadlines, caps, retries, shutdown.
+//!
+//! - [`replay_client`], [`learner_client`]: connections with this project's limits ([`limits`])
+//! - [`bind`], [`server`], [`serve`]: the skeleton of every server
+//! - [`ServiceError`]: the one mapping between errors and gRPC status; [`is_refusal`] reads it back
+//! - [`shutdown_on_signal`], [`reconnect_delays`]
+//! - [`AppendClient`], [`SampleClient`]: the two ends of experience, which reconnect by themselves
+
+mod append_client;
+mod append_link;
+mod backoff;
+mod channel;
+mod error;
+pub mod limits;
+mod link_state;
+mod sample_client;
+mod sample_link;
+mod server;
+mod shutdown;
+mod spool;
+
+pub use append_client::{AppendClient, AppendOptions};
+pub use backoff::{reconnect_delays, retry};
+pub use channel::{channel, learner_client, replay_client};
+pub use error::{RpcError, ServiceError, is_refusal};
+pub use sample_client::{SampleClient, SampleOptions, SampledSequence};
+pub use server::{bind, serve, server, serving};
+pub use shutdown::shutdown_on_signal;

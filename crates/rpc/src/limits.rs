@@ -1,0 +1,25 @@
+//! The numbers behind every connection.
+
+use std::time::Duration;
+
+/// Largest message in bytes, both ways: a 50 x 64 x 64 x 3 sequence is 614 KB raw; gRPC's default is 4 MB.
+pub const MAX_MESSAGE_BYTES: usize = 64 << 20;
+/// HTTP/2 frame size in bytes: on loopback twice the throughput of the default 16 KB.
+pub const MAX_FRAME_BYTES: u32 = 1 << 20;
+/// HTTP/2 window of one stream in bytes.
+pub const STREAM_WINDOW_BYTES: u32 = 8 << 20;
+/// HTTP/2 window of one connection in bytes.
+pub const CONNECTION_WINDOW_BYTES: u32 = 32 << 20;
+/// How long connecting may take.
+pub const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+/// Pause between HTTP/2 keepalive pings.
+pub const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(10);
+/// How long a ping may stay unanswered before the connection counts as dead.
+pub const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(10);
+/// How long a peer may take for its first message.
+pub const HELLO_TIMEOUT: Duration = Duration::from_secs(10);
+/// How long open streams may take to end at shutdown.
+pub const SHUTDOWN_GRACE: Duration = Duration::from_secs(3);
+/// First and longest pause between attempts to reconnect.
+pub const RECONNECT_DELAYS: (Duration, Duration) =
+    (Duration::from_millis(100), Duration::from_secs(5));

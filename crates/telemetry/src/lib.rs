@@ -1,0 +1,19 @@
+//! What a run tells the people who watch it: logs, metrics, pictures and videos.
+//!
+//! This crate knows no network, no tensors and none of Isodream's own types, so that every role can use it.
+
+mod error;
+mod font;
+mod jsonl;
+mod logging;
+mod metrics;
+mod picture;
+mod tensorboard;
+mod video;
+
+pub use error::{Error, Result};
+pub use logging::{LOG_FILTER_VARIABLE, LogFormat, init_logging};
+pub use metrics::MetricsWriter;
+pub use picture::Rgb;
+pub use tensorboard::EventWriter;
+pub use video::{VideoWriter, write_mp4};

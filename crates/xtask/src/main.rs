@@ -1,0 +1,69 @@
+//! What one types in this repository: `cargo xtask setup | ci | test | demo`.
+//!
+//! Needs neither libtorch nor network to build, because it is what fetches libtorch.
+
+mod ci;
+mod deps;
+mod run;
+mod setup;
+mod stage;
+
+use std::process::ExitCode;
+
+use anyhow::Result;
+use clap::{Parser, Subcommand};
+
+/// Bootstrap of native libraries, checks, tests and the demo.
+#[derive(Debug, Parser)]
+#[command(name = "cargo xtask", bin_name = "cargo xtask")]
+struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Put libtorch into .native/; does nothing where it already stands.
+    Setup {
+        /// Hash every file instead of comparing sizes.
+        #[arg(long)]
+        verify: bool,
+    },
+    /// Formatting, lints, docs and dependency rules.
+    Ci,
+    /// All tests; with arguments only the tests they select.
+    Test {
+        /// Passed on to cargo nextest run, or cargo test where nextest is not installed.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        args: Vec<String>,
+    },
+    /// Build in release mode and train the quick preset in runs/demo.
+    Demo {
+        /// Passed on to isodream train.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        args: Vec<String>,
+    },
+}
+
+fn main() -> ExitCode {
+    match run_command(Args::parse().command) {
+        Ok(()) => ExitCode::SUCCESS,
+        // By hand, because `main` would add a backtrace where RUST_BACKTRACE is set.
+        Err(error) => {
+            eprintln!("xtask: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run_command(command: Command) -> Result<()> {
+    let root = stage::repository_root()?;
+    let verify = matches!(command, Command::Setup { verify: true });
+    setup::ensure(&root, verify)?;
+    match command {
+        Command::Setup { .. } => Ok(()),
+        Command::Ci => ci::ci(&root),
+        Command::Test { args } => run::test(&root, &args),
+        Command::Demo { args } => run::demo(&root, &args),
+    }
+}

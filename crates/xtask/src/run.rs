@@ -1,0 +1,69 @@
+//! `cargo xtask test` and `cargo xtask demo`: everything that runs the code.
+
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result};
+use serde_json::Value;
+
+use crate::stage::{answers, cargo, output, run, stage, with_libtorch};
+
+/// Runs all tests, or with `args` those that they select.
+pub(crate) fn test(root: &Path, args: &[String]) -> Result<()> {
+    // The process-level tests start the binaries, which nothing makes cargo build for them.
+    stage("build binaries", || {
+        run(&mut cargo(
+            root,
+            ["build", "--workspace", "--bins", "--locked"],
+        ))
+    })?;
+    let runner: &[&str] = if answers(&mut cargo(root, ["nextest", "--version"])) {
+        &["nextest", "run"]
+    } else {
+        // Not --all-targets: that would run benchmarks. Doc tests have their own stage.
+        &["test", "--lib", "--bins", "--tests"]
+    };
+    stage("tests", || {
+        let mut command = cargo(root, runner.iter().copied());
+        run(command.args(["--workspace", "--locked"]).args(args))
+    })?;
+    if args.is_empty() {
+        stage("doc tests", || {
+            run(&mut cargo(
+                root,
+                ["test", "--doc", "--workspace", "--locked", "--quiet"],
+            ))
+        })?;
+    }
+    Ok(())
+}
+
+/// Builds the release binary and becomes it, so that signals reach the run and not us.
+pub(crate) fn demo(root: &Path, args: &[String]) -> Result<()> {
+    stage("build", || {
+        run(&mut cargo(
+            root,
+            ["build", "--release", "--locked", "-p", "isodream"],
+        ))
+    })?;
+    let binary = target_dir(root)?.join("release/isodream");
+    let mut command = Command::new(&binary);
+    command
+        .current_dir(root)
+        .args(["train", "--preset", "quick", "--run-dir", "runs/demo"])
+        .args(args);
+    with_libtorch(&mut command, root);
+    let error = command.exec();
+    Err(error).with_context(|| format!("cannot start {}", binary.display()))
+}
+
+/// Where cargo builds, wherever that was configured.
+fn target_dir(root: &Path) -> Result<PathBuf> {
+    let args = ["metadata", "--no-deps", "--format-version", "1", "--locked"];
+    let metadata: Value = serde_json::from_slice(&output(&mut cargo(root, args))?)?;
+    let target = metadata["target_directory"]
+        .as_str()
+        .context("cargo metadata names no target directory")?;
+    Ok(target.into())
+}
