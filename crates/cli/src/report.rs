@@ -70,7 +70,8 @@ impl Curve {
             match points.last_mut() {
                 // Episodes of one evaluation arrive one by one, within a few frames of each other.
                 Some((at, sum, count)) if frames - *at < 1_000.0 => {
-                    (*sum, *count) = (*sum + value, *count + 1.0)
+                    *sum += value;
+                    *count += 1.0;
                 }
                 _ => points.push((frames, value, 1.0)),
             }

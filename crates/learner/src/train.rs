@@ -234,7 +234,7 @@ impl Training {
                 status.updates = agent.updates();
                 status.wait_share = wait_share;
             });
-            let due = |interval: u64| agent.updates() % interval == 0;
+            let due = |interval: u64| agent.updates().is_multiple_of(interval);
             let publishing = agent.updates() >= pretrain && due(config.learner.publish_interval);
             let saving = due(config.learner.checkpoint_interval);
             if publishing || saving || due(config.learner.log_interval) {

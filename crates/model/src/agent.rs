@@ -171,7 +171,10 @@ impl Agent {
     pub fn update(&mut self, batch: &Batch) -> Vec<Metric> {
         let seed = derive_seed(self.config.seed, &["update", &self.updates.to_string()]);
         tch::manual_seed(seed as i64);
-        if self.updates % self.config.behavior.slow_critic_interval == 0 {
+        if self
+            .updates
+            .is_multiple_of(self.config.behavior.slow_critic_interval)
+        {
             let Groups {
                 critic,
                 slow_critic,
@@ -232,6 +235,10 @@ impl Agent {
             ("train/imagined_return", returns.mean(Kind::Float)),
             ("train/value", values.mean(Kind::Float)),
             ("train/actor_entropy", imagined.entropies.mean(Kind::Float)),
+            (
+                "train/action_magnitude",
+                imagined.actions.abs().mean(Kind::Float),
+            ),
             ("train/loss/actor", actor_loss.shallow_clone()),
             ("train/loss/critic", critic_loss.shallow_clone()),
         ];

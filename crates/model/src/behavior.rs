@@ -7,7 +7,7 @@ use tch::{Kind, Tensor};
 use crate::losses::HALF_LOG_2PI;
 use crate::nn::Mlp;
 use crate::params::Scope;
-use crate::policy::{Actions, Policy};
+use crate::policy::Policy;
 use crate::rssm::{State, stack};
 use crate::world_model::WorldModel;
 
@@ -46,6 +46,8 @@ pub struct Imagined {
     pub rewards: Tensor,
     /// `gamma` times the probability of going on: `d_t` scales what follows `x_t`, `[H, N]`.
     pub discounts: Tensor,
+    /// What the policy chose, `[H - 1, N, A]`.
+    pub actions: Tensor,
     /// Policy entropies at the states, `[H - 1, N]`.
     pub entropies: Tensor,
 }
@@ -66,6 +68,7 @@ pub fn imagine(
     let mut controllable = Vec::new();
     let mut memory = Vec::new();
     let mut states = Vec::new();
+    let mut actions = Vec::new();
     let mut entropies = Vec::new();
     for t in 0..horizon {
         let lookahead = policy.look_ahead(&state);
@@ -76,6 +79,7 @@ pub fn imagine(
             let distribution = policy.actor.forward(&feat.detach());
             entropies.push(distribution.entropy());
             let action = distribution.sample();
+            actions.push(action.shallow_clone());
             match lookahead.next_deter {
                 Some(deter) => world.rssm.imagine_step_to(&state, &action, deter),
                 // Nothing reads `z` with the indicator off: it stays as it is.
@@ -105,6 +109,7 @@ pub fn imagine(
         memory: (!memory.is_empty()).then(|| Tensor::stack(&memory, 0)),
         rewards,
         discounts,
+        actions: Tensor::stack(&actions, 0),
         entropies: Tensor::stack(&entropies, 0),
     }
 }
@@ -183,9 +188,4 @@ pub fn trained_values(critic: &Critic, policy: &Policy<'_>, imagined: &Imagined)
         _ => controllable,
     };
     critic.forward(&feat).view([steps, batch])
-}
-
-/// A sampled or most likely action at a state: what deployment does, on imagined states.
-pub fn decide(policy: &Policy<'_>, state: &State, actions: Actions) -> Tensor {
-    policy.act(&policy.feat(state, &policy.look_ahead(state)), actions)
 }

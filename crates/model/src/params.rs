@@ -195,16 +195,19 @@ impl Scope<'_> {
     /// Adds a parameter drawn from U(-bound, bound).
     pub fn uniform(&mut self, name: &str, shape: &[i64], bound: f64) -> Tensor {
         let options = (Kind::Float, self.params.device);
-        self.add(name, Tensor::rand(shape, options) * (2.0 * bound) - bound)
+        self.add(
+            name,
+            &(Tensor::rand(shape, options) * (2.0 * bound) - bound),
+        )
     }
 
     /// Adds a parameter with all values `value`.
     pub fn constant(&mut self, name: &str, shape: &[i64], value: f64) -> Tensor {
         let options = (Kind::Float, self.params.device);
-        self.add(name, Tensor::full(shape, value, options))
+        self.add(name, &Tensor::full(shape, value, options))
     }
 
-    fn add(&mut self, name: &str, value: Tensor) -> Tensor {
+    fn add(&mut self, name: &str, value: &Tensor) -> Tensor {
         let tensor = value.set_requires_grad(true);
         self.params
             .entries
@@ -233,7 +236,7 @@ mod tests {
     fn networks_see_changes_of_the_flat_vector() {
         let (params, a, b) = group();
         assert_eq!(params.numel(), 10);
-        tch::no_grad(|| params.flat().shallow_clone().fill_(3.0));
+        let _ = tch::no_grad(|| params.flat().shallow_clone().fill_(3.0));
         assert_eq!(f64::try_from(a.sum(Kind::Float)).expect("scalar"), 18.0);
         assert_eq!(f64::try_from(b.sum(Kind::Float)).expect("scalar"), 12.0);
         assert!(a.requires_grad() && a.is_leaf());
@@ -244,7 +247,7 @@ mod tests {
         let (params, a, _) = group();
         let bytes = to_safetensors(params.entries().iter().map(|(n, t)| (n.as_str(), t)));
         let (mut other, other_a, _) = group();
-        tch::no_grad(|| other.flat().shallow_clone().fill_(0.0));
+        let _ = tch::no_grad(|| other.flat().shallow_clone().fill_(0.0));
         other
             .load(&SafeTensors::deserialize(&bytes).expect("valid"))
             .expect("same layout");

@@ -18,6 +18,9 @@ const CENTRED_M: f64 = 0.3;
 
 /// How long and how hard one brakes after being shoved: pushing others along must not pay.
 const SHOCKED_S: f64 = 2.0;
+/// How long one then drives on before braking again: without it, an ego that keeps its foot down would pin itself to
+/// the car ahead for ever, and no agent would find out that letting go pays.
+const COMPOSED_S: f64 = 1.5;
 const SHOCK_BRAKE_M_S2: f64 = 7.0;
 /// The impulse that shocks a driver, and the time over which several small ones add up to it.
 const SHOCK_NS: f64 = 1_500.0;
@@ -83,7 +86,7 @@ pub(crate) struct Car {
     pub(crate) build: Build,
     pub(crate) paint: u8,
     pub(crate) until_decision_s: f64,
-    /// For how much longer the driver brakes because of a collision.
+    /// For how much longer the driver brakes because of a collision; below zero, the time since.
     pub(crate) shocked_s: f64,
     /// Impulse from the ego that the driver still feels.
     shoved_ns: f64,
@@ -115,7 +118,7 @@ impl Car {
             build,
             paint: rng.random(),
             until_decision_s: rng.random_range(0.0..1.0),
-            shocked_s: 0.0,
+            shocked_s: -COMPOSED_S,
             shoved_ns: 0.0,
         }
     }
@@ -154,18 +157,21 @@ impl Car {
     pub(crate) fn shove(&mut self, impulse_ns: f64) {
         self.shoved_ns += impulse_ns;
         // Who stands already gains nothing from braking, and must be free to drive off.
-        if self.shoved_ns > SHOCK_NS && self.speed > SHOCK_FROM_M_S {
+        let composed = self.shocked_s <= -COMPOSED_S;
+        if composed && self.shoved_ns > SHOCK_NS && self.speed > SHOCK_FROM_M_S {
             self.shocked_s = SHOCKED_S;
         }
     }
 
     /// What a driver who was hit does to the acceleration that traffic asks for.
     pub(crate) fn after_shock(&mut self, wanted: f64) -> f64 {
-        if self.shocked_s <= 0.0 {
-            return wanted;
+        let shocked = self.shocked_s > 0.0;
+        self.shocked_s = (self.shocked_s - DT).max(-COMPOSED_S);
+        if shocked {
+            wanted.min(-SHOCK_BRAKE_M_S2)
+        } else {
+            wanted
         }
-        self.shocked_s -= DT;
-        wanted.min(-SHOCK_BRAKE_M_S2)
     }
 
     /// Replaces the velocity, as a collision does. A pushed car may slide sideways but does not roll backwards.

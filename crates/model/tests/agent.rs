@@ -1,0 +1,204 @@
+//! The agent as a whole: sizes of the paper, one policy for imagination and deployment, resuming, learning.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use isodream_core::config::{Config, InverseInput, Source};
+use isodream_core::{EnvSpec, ImageShape};
+use isodream_model::behavior::imagine;
+use isodream_model::{ActingModel, Actions, Agent, Batch};
+use tch::{Device, Kind, Tensor};
+
+const ACTIONS: usize = 2;
+
+/// libtorch has one generator per process: tests that share a process take turns.
+static NOISE: Mutex<()> = Mutex::new(());
+
+fn alone() -> MutexGuard<'static, ()> {
+    NOISE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn spec() -> EnvSpec {
+    EnvSpec {
+        id: "test".into(),
+        image: ImageShape {
+            height: 64,
+            width: 64,
+            channels: 3,
+        },
+        action_dim: ACTIONS,
+        action_repeat: 1,
+        time_limit: 50,
+    }
+}
+
+fn small(set: &[&str]) -> Config {
+    Config::load(&Source {
+        preset: Some("debug".into()),
+        file: None,
+        set: set.iter().map(|s| (*s).to_owned()).collect(),
+    })
+    .expect("a valid configuration")
+}
+
+fn batch(config: &Config) -> Batch {
+    tch::manual_seed(11);
+    let (b, t) = (
+        config.learner.batch_size as i64,
+        config.learner.batch_length as i64,
+    );
+    let float = (Kind::Float, Device::Cpu);
+    let actions = Tensor::rand([b, t, ACTIONS as i64], float) * 2.0 - 1.0;
+    Batch {
+        images: Tensor::rand([b, t, 64, 64, 3], float).permute([0, 1, 4, 2, 3]) - 0.5,
+        rewards: -actions.select(2, 0).abs(),
+        discounts: Tensor::ones([b, t], float),
+        actions,
+    }
+}
+
+fn read(metrics: &[(&'static str, Tensor)], name: &str) -> f64 {
+    let (_, value) = metrics
+        .iter()
+        .find(|(n, _)| *n == name)
+        .unwrap_or_else(|| panic!("no metric {name}"));
+    value.double_value(&[])
+}
+
+#[test]
+fn the_paper_preset_has_the_sizes_of_the_authors_code() {
+    let _alone = alone();
+    let mut config = Config::default();
+    config.model.inverse = InverseInput::EmbedDiff;
+    let agent = Agent::new(&config, &spec(), Device::Cpu);
+    // algorithm: world model; actor; critic and attention.
+    assert_eq!(
+        agent.parameter_counts(),
+        (25_783_449, 583_204, 421_601 + 501_750)
+    );
+}
+
+#[test]
+fn deployed_and_imagined_policy_act_alike() {
+    let _alone = alone();
+    for set in [
+        &[][..],
+        &["model.dependency_gate=false"],
+        &["behavior.rollout_window=0"],
+        &["model.indicator=false"],
+    ] {
+        let config = small(set);
+        let agent = Agent::new(&config, &spec(), Device::Cpu);
+        let mut acting = ActingModel::new(&config, ACTIONS, Device::Cpu);
+        acting.load(&agent.publish()).expect("own weights");
+        let images = batch(&config).images.select(1, 0);
+        let count = images.size()[0];
+
+        tch::manual_seed(5);
+        let mut memory = acting.begin(count, ACTIONS as i64);
+        let deployed = acting.step(
+            &mut memory,
+            &images,
+            &vec![true; count as usize],
+            Actions::Sample,
+        );
+
+        tch::manual_seed(5);
+        let nothing = Tensor::zeros([count, ACTIONS as i64], (Kind::Float, Device::Cpu));
+        let encoder = &agent.world.encoder;
+        let embed = encoder.embed(&encoder.stem.forward(&images), &nothing);
+        let initial = agent.world.rssm.initial(count, Device::Cpu);
+        let state = agent.world.rssm.observe_step(&initial, &nothing, &embed);
+        let imagined = imagine(&agent.world, &agent.policy(), state, &config.behavior);
+        assert!(
+            imagined.actions.get(0).equal(&deployed),
+            "{set:?}: {} {deployed}",
+            imagined.actions.get(0)
+        );
+    }
+}
+
+#[test]
+fn a_resumed_agent_makes_the_updates_of_an_unbroken_one() {
+    let _alone = alone();
+    let config = small(&[]);
+    let batch = batch(&config);
+    let mut unbroken = Agent::new(&config, &spec(), Device::Cpu);
+    for _ in 0..2 {
+        unbroken.update(&batch);
+    }
+    let (model, optimizer) = (unbroken.save_model(), unbroken.save_optimizer());
+    unbroken.update(&batch);
+
+    let mut other = config.clone();
+    other.seed += 1;
+    let mut resumed = Agent::new(&config, &spec(), Device::Cpu);
+    resumed.load(&model, &optimizer, 2).expect("own weights");
+    resumed.update(&batch);
+    assert!(resumed.save_model() == unbroken.save_model());
+    assert!(resumed.save_optimizer() == unbroken.save_optimizer());
+
+    let mut different = Agent::new(&other, &spec(), Device::Cpu);
+    different.update(&batch);
+    assert!(different.save_model() != unbroken.save_model());
+}
+
+#[test]
+fn every_option_trains_and_the_losses_fall() {
+    let _alone = alone();
+    for set in [
+        &[][..],
+        &[
+            "model.inverse=embed_diff",
+            "loss.variance=paper",
+            "model.discount_head=true",
+        ],
+        &[
+            "model.indicator=false",
+            "model.dependency_gate=false",
+            "model.encoder_actions=false",
+        ],
+        &[
+            "behavior.value_gradient=false",
+            "behavior.start_share=0.5",
+            "behavior.rollout_window=0",
+        ],
+    ] {
+        let mut config = small(set);
+        config.optimizer.model_lr = 2e-3;
+        let batch = batch(&config);
+        let mut agent = Agent::new(&config, &spec(), Device::Cpu);
+        let first = agent.update(&batch);
+        for _ in 0..40 {
+            agent.update(&batch);
+        }
+        let last = agent.update(&batch);
+        for name in ["train/loss/image", "train/loss/reward"] {
+            assert!(
+                read(&last, name) < read(&first, name),
+                "{set:?}: {name} does not fall"
+            );
+        }
+        assert!(
+            last.iter()
+                .all(|(_, value)| value.double_value(&[]).is_finite()),
+            "{set:?}"
+        );
+    }
+}
+
+#[test]
+fn behaviour_learning_waits_for_its_warmup() {
+    let _alone = alone();
+    let config = small(&["behavior.warmup_updates=2"]);
+    let batch = batch(&config);
+    let mut agent = Agent::new(&config, &spec(), Device::Cpu);
+    let has_actor_loss: Vec<bool> = (0..3)
+        .map(|_| {
+            agent
+                .update(&batch)
+                .iter()
+                .any(|(name, _)| *name == "train/loss/actor")
+        })
+        .collect();
+    assert_eq!(has_actor_loss, [false, false, true]);
+}
