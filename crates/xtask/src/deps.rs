@@ -23,6 +23,7 @@ const LAYERS: &[&[&str]] = &[
         "isodream-learner",
     ],
     &["isodream"],
+    &["isodream-tests"],
 ];
 /// Free of libtorch, so that they build fast and run where it is not.
 const WITHOUT_TORCH: &[&str] = &[
