@@ -65,6 +65,10 @@ fn wrong_configurations_are_named() -> Result<()> {
     ] {
         let args = train(&more);
         assert_names(&args.iter().map(String::as_str).collect::<Vec<_>>(), &parts)?;
+        ensure!(
+            !folder.path().join("run").exists(),
+            "{more:?} left a run directory behind"
+        );
     }
     Ok(())
 }

@@ -1,18 +1,17 @@
 //! Published weights acting on a vector of environments.
 
-use isodream_core::{Config, EnvSpec};
+use isodream_core::{Config, EnvSpec, Step};
 use isodream_model::agent::preprocess;
-use isodream_model::policy::Memory;
+use isodream_model::rssm::State;
 use isodream_model::{ActingModel, Actions, LoadError};
 use tch::{Device, Tensor};
 
-/// A policy with its recurrent memory over `environments`.
+/// A policy with its recurrent memory over a vector of environments.
 #[derive(Debug)]
 pub struct AgentPolicy {
     model: ActingModel,
-    memory: Memory,
+    state: State,
     spec: EnvSpec,
-    environments: usize,
 }
 
 impl AgentPolicy {
@@ -28,12 +27,11 @@ impl AgentPolicy {
     ) -> Result<Self, LoadError> {
         let mut model = ActingModel::new(config, spec.action_dim, Device::Cpu);
         model.load(weights)?;
-        let memory = model.begin(environments as i64, spec.action_dim as i64);
+        let state = model.begin(environments as i64);
         Ok(Self {
             model,
-            memory,
+            state,
             spec: spec.clone(),
-            environments,
         })
     }
 
@@ -45,23 +43,34 @@ impl AgentPolicy {
         self.model.load(weights)
     }
 
-    /// One action per environment. `is_first` marks those that were just reset.
-    ///
-    /// # Shapes
-    /// `images: [M, H, W, C]` bytes `-> M` actions
-    pub fn act(&mut self, images: &[u8], is_first: &[bool], actions: Actions) -> Vec<Vec<f32>> {
+    /// One action per environment, from the newest step of each.
+    pub fn act(&mut self, steps: &[&Step], actions: Actions) -> Vec<Vec<f32>> {
         let image = self.spec.image;
-        let shape = [
-            self.environments as i64,
+        let count = steps.len() as i64;
+        let pixels: Vec<u8> = steps
+            .iter()
+            .flat_map(|step| step.image.iter().copied())
+            .collect();
+        let pixels = Tensor::from_slice(&pixels).view([
+            count,
             image.height as i64,
             image.width as i64,
             image.channels as i64,
-        ];
-        let pixels = preprocess(&Tensor::from_slice(images).view(shape));
-        let chosen = self
-            .model
-            .step(&mut self.memory, &pixels, is_first, actions);
-        let mut flat = vec![0.0; self.environments * self.spec.action_dim];
+        ]);
+        let executed: Vec<f32> = steps
+            .iter()
+            .flat_map(|step| step.action.iter().copied())
+            .collect();
+        let executed = Tensor::from_slice(&executed).view([count, -1]);
+        let is_first: Vec<bool> = steps.iter().map(|step| step.is_first).collect();
+        let chosen = self.model.step(
+            &mut self.state,
+            &preprocess(&pixels),
+            &executed,
+            &is_first,
+            actions,
+        );
+        let mut flat = vec![0.0; steps.len() * self.spec.action_dim];
         let count = flat.len();
         chosen.contiguous().copy_data(&mut flat, count);
         flat.chunks(self.spec.action_dim)

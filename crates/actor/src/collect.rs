@@ -230,14 +230,8 @@ impl Collector {
     fn advance(&mut self, agent: Option<&mut AgentPolicy>) -> anyhow::Result<()> {
         let actions = match agent {
             Some(agent) => {
-                let images: Vec<u8> = self
-                    .lanes
-                    .iter()
-                    .flat_map(|lane| lane.step.image.iter().copied())
-                    .collect();
-                let is_first: Vec<bool> =
-                    self.lanes.iter().map(|lane| lane.step.is_first).collect();
-                agent.act(&images, &is_first, Actions::Sample)
+                let steps: Vec<&Step> = self.lanes.iter().map(|lane| &lane.step).collect();
+                agent.act(&steps, Actions::Sample)
             }
             None => {
                 let random = &mut self.random;

@@ -76,7 +76,7 @@ pub fn episode(
         }
         action = match pilot {
             Pilot::Agent(policy, actions) => policy
-                .act(&step.image, &[is_first], *actions)
+                .act(&[&step], *actions)
                 .pop()
                 .context("a policy over no environment")?,
             Pilot::Driver(driver) => driver

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use clap::Args;
 use isodream_actor::AgentPolicy;
 use isodream_actor::rollout::{Outcome, Pilot, episode};
@@ -20,7 +20,7 @@ pub(crate) struct EvalArgs {
     #[arg(long)]
     checkpoint: PathBuf,
     /// Episodes per policy
-    #[arg(long, default_value_t = 10)]
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..))]
     episodes: u64,
     /// Print JSON instead of a table
     #[arg(long)]
@@ -51,7 +51,7 @@ pub(crate) struct Evaluation {
 
 /// Runs the command.
 pub(crate) fn run(args: &EvalArgs) -> anyhow::Result<()> {
-    let evaluation = evaluate(&args.checkpoint, args.episodes)?;
+    let evaluation = evaluate(&args.checkpoint, args.episodes, &|| true)?;
     let text = if args.json {
         serde_json::to_string_pretty(&evaluation)?
     } else {
@@ -68,7 +68,14 @@ pub(crate) fn print(text: &str) {
 }
 
 /// Evaluates the newest checkpoint in `path`.
-pub(crate) fn evaluate(path: &Path, episodes: u64) -> anyhow::Result<Evaluation> {
+///
+/// # Errors
+/// Where there is no checkpoint, the environment fails, or `go_on` says no.
+pub(crate) fn evaluate(
+    path: &Path,
+    episodes: u64,
+    go_on: &dyn Fn() -> bool,
+) -> anyhow::Result<Evaluation> {
     let checkpoint = Checkpoint::find(path)?;
     let config = &checkpoint.config;
     let mut env = isodream_envs::make(&config.env)?;
@@ -88,7 +95,7 @@ pub(crate) fn evaluate(path: &Path, episodes: u64) -> anyhow::Result<Evaluation>
             env.as_mut(),
             &mut pilot,
             seed,
-            &|| true,
+            go_on,
             &mut |_, _| {},
         )?);
     }
@@ -102,12 +109,16 @@ pub(crate) fn evaluate(path: &Path, episodes: u64) -> anyhow::Result<Evaluation>
                 env.as_mut(),
                 &mut pilot,
                 seed,
-                &|| true,
+                go_on,
                 &mut |_, _| {},
             )?);
         }
         policies.insert(scripted.as_str().to_owned(), PolicyResult::new(&outcomes));
     }
+    ensure!(
+        go_on(),
+        "the evaluation was interrupted; isodream eval makes it again"
+    );
     Ok(Evaluation {
         env: spec.to_string(),
         episodes,

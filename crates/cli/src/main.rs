@@ -64,13 +64,20 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
     let result = match command {
         Command::Train(args) => runtime.block_on(train::run(args)),
         Command::Replay(args) => runtime.block_on(roles::replay(args)),
-        Command::Learner(args) => runtime.block_on(roles::learner(args)),
+        Command::Learner(args) => return finish(runtime.block_on(roles::learner(args)), runtime),
         Command::Actor(args) => runtime.block_on(roles::actor(args)),
         Command::Eval(args) => eval::run(&args),
         Command::Imagine(args) => imagine::run(&args),
         Command::Report(args) => report::run(&args),
     };
-    // A reader of standard input cannot be interrupted; it must not hold up the end.
+    finish(result.map(|()| ExitCode::SUCCESS), runtime)
+}
+
+/// Ends the runtime without waiting: a reader of standard input cannot be interrupted.
+fn finish(
+    result: anyhow::Result<ExitCode>,
+    runtime: tokio::runtime::Runtime,
+) -> anyhow::Result<ExitCode> {
     runtime.shutdown_background();
-    result.map(|()| ExitCode::SUCCESS)
+    result
 }

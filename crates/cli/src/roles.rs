@@ -1,6 +1,7 @@
 //! One role per process.
 
 use std::path::PathBuf;
+use std::process::ExitCode;
 
 use anyhow::bail;
 use clap::{Args, ValueEnum};
@@ -153,10 +154,15 @@ fn server_options(config: &Config, folder: PathBuf) -> ServerOptions {
     }
 }
 
-/// Runs the learner until all updates are made or it is told to stop.
-pub(crate) async fn learner(args: LearnerArgs) -> anyhow::Result<()> {
+/// Exit code of a supervised learner that stopped before its last update (EX_TEMPFAIL).
+const STOPPED: u8 = 75;
+
+/// Runs the learner until all updates are made or it is told to stop. Under a supervisor the two differ in
+/// their exit code.
+pub(crate) async fn learner(args: LearnerArgs) -> anyhow::Result<ExitCode> {
     let config = args.role.config.load()?;
     let shutdown = args.role.shutdown()?;
+    let supervised = args.role.supervised;
     let spec = isodream_envs::spec(&config.env)?;
     let options = LearnerOptions {
         config,
@@ -166,9 +172,10 @@ pub(crate) async fn learner(args: LearnerArgs) -> anyhow::Result<()> {
         replay: args.replay,
         device: args.device.resolve()?,
     };
-    match isodream_learner::run(options, shutdown).await? {
-        Finished::Trained | Finished::Stopped => Ok(()),
-    }
+    Ok(match isodream_learner::run(options, shutdown).await? {
+        Finished::Stopped if supervised => ExitCode::from(STOPPED),
+        Finished::Trained | Finished::Stopped => ExitCode::SUCCESS,
+    })
 }
 
 /// Runs one actor until it is told to stop.

@@ -1,10 +1,13 @@
 //! The training loop.
 
+use std::fs::{File, TryLockError};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, bail, ensure};
-use isodream_core::{Config, derive_seed};
+use isodream_core::derive_seed;
+use isodream_model::agent::Metric;
 use isodream_model::{Agent, Batch};
 use isodream_proto::v1::learner_service_server::LearnerServiceServer;
 use isodream_proto::{Identity, v1};
@@ -26,6 +29,9 @@ const PATIENCE: Duration = Duration::from_millis(200);
 /// How often the replay-server is asked how much it holds.
 const POLL: Duration = Duration::from_secs(1);
 
+/// A checkpoint is at most this old, however slow the updates are.
+const CHECKPOINT_AGE: Duration = Duration::from_secs(300);
+
 /// Why a learner ended well.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Finished {
@@ -42,6 +48,7 @@ pub enum Finished {
 /// not finite. The last good checkpoint is kept.
 pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow::Result<Finished> {
     let listener = isodream_rpc::bind(&options.listen).await?;
+    let _lock = lock(&options.run_dir)?;
     let config = &options.config;
     let checkpoint = Checkpoint::load_newest(&options.run_dir.join("checkpoints"))?;
     if let Some(checkpoint) = &checkpoint {
@@ -128,8 +135,30 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
         .context("the training thread died")?;
     poll.abort();
     serving.cancel();
-    server.await.context("the learner's server died")??;
-    finished
+    let served = server.await.context("the learner's server died");
+    // What went wrong first is what a person needs to know.
+    let finished = finished?;
+    served??;
+    Ok(finished)
+}
+
+/// Makes the run directory this learner's alone for as long as the returned file is open: two of them would
+/// overwrite each other's checkpoints and metrics.
+fn lock(run_dir: &Path) -> anyhow::Result<File> {
+    let path = run_dir.join(".learner.lock");
+    std::fs::create_dir_all(run_dir)
+        .with_context(|| format!("cannot create {}", run_dir.display()))?;
+    let file = File::create(&path).with_context(|| format!("cannot create {}", path.display()))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => bail!(
+            "{} is in use by another learner; stop it or choose another --run-dir",
+            run_dir.display()
+        ),
+        Err(TryLockError::Error(error)) => {
+            Err(error).with_context(|| format!("cannot lock {}", path.display()))
+        }
+    }
 }
 
 /// Refuses a checkpoint of another environment or model, by name.
@@ -163,6 +192,12 @@ async fn poll_replay(address: String, action_repeat: u32, progress: Arc<Progress
         }
         progress.measure_pace();
     }
+}
+
+/// The newest checkpoint of this process.
+struct Saved {
+    updates: u64,
+    at: Instant,
 }
 
 struct Training {
@@ -204,56 +239,21 @@ impl Training {
         let mut metrics = MetricsWriter::open(&self.options.run_dir, resume_frames)?;
         let total = config.total_updates();
         let pretrain = config.learner.pretrain_updates;
-        if agent.updates() > pretrain {
+        if agent.updates() >= pretrain && resumed {
             self.publish(&agent);
         }
-        let mut saved = agent.updates();
-        while agent.updates() < total && !shutdown.is_cancelled() {
-            let Some(batch) = self.next_batch(&mut metrics)? else {
-                continue;
-            };
-            self.progress.set(|status| {
-                status.phase = if status.updates < pretrain {
-                    "pretraining"
-                } else {
-                    "training"
-                }
-                .into();
-            });
-            let device = self.options.device;
-            let measured = agent.update(&Batch::new(
-                &batch.sequences,
-                config.env.image_size as i64,
-                device,
-            ));
-            self.counters.updates = agent.updates();
-            self.counters.sampled_steps = batch.sampled_steps;
-            self.counters.env_frames = self.progress.env_frames();
-            let wait_share = self.wait_share();
-            self.progress.set(|status| {
-                status.updates = agent.updates();
-                status.wait_share = wait_share;
-            });
-            let due = |interval: u64| agent.updates().is_multiple_of(interval);
-            let publishing = agent.updates() >= pretrain && due(config.learner.publish_interval);
-            let saving = due(config.learner.checkpoint_interval);
-            if publishing || saving || due(config.learner.log_interval) {
-                let values = read(&measured)?;
-                if due(config.learner.log_interval) {
-                    self.log(&mut metrics, values)?;
-                }
-            }
-            if publishing {
-                self.publish(&agent);
-            }
-            if saving {
-                self.save(&agent, &config)?;
-                saved = agent.updates();
-            }
+        let mut last = Vec::new();
+        let mut saved = Saved {
+            updates: agent.updates(),
+            at: Instant::now(),
+        };
+        let trained = self.train(&mut agent, &mut metrics, &mut saved, &mut last, shutdown);
+        // Whatever ended the loop, the updates made so far are kept, unless they are not numbers any more.
+        read(&last)?;
+        if saved.updates != agent.updates() {
+            self.save(&agent)?;
         }
-        if saved != agent.updates() {
-            self.save(&agent, &config)?;
-        }
+        trained?;
         self.write_reports(&mut metrics)?;
         metrics.flush()?;
         if agent.updates() < total {
@@ -266,6 +266,66 @@ impl Training {
         self.progress.set(|status| status.phase = "finished".into());
         tracing::info!(updates = agent.updates(), "finished");
         Ok(Finished::Trained)
+    }
+
+    /// Makes updates until there are enough or `shutdown` is cancelled; `last` receives the newest metrics.
+    fn train(
+        &mut self,
+        agent: &mut Agent,
+        metrics: &mut MetricsWriter,
+        saved: &mut Saved,
+        last: &mut Vec<Metric>,
+        shutdown: &CancellationToken,
+    ) -> anyhow::Result<()> {
+        let config = self.options.config.clone();
+        let learner = &config.learner;
+        while agent.updates() < config.total_updates() && !shutdown.is_cancelled() {
+            let Some(batch) = self.next_batch(metrics)? else {
+                continue;
+            };
+            let pretraining = agent.updates() < learner.pretrain_updates;
+            self.progress.set(|status| {
+                status.phase = if pretraining {
+                    "pretraining"
+                } else {
+                    "training"
+                }
+                .into();
+            });
+            let side = config.env.image_size as i64;
+            *last = agent.update(&Batch::new(&batch.sequences, side, self.options.device));
+            self.counters = Counters {
+                updates: agent.updates(),
+                sampled_steps: batch.sampled_steps,
+                env_frames: self.progress.env_frames(),
+            };
+            let wait_share = self.wait_share();
+            self.progress.set(|status| {
+                status.updates = agent.updates();
+                status.wait_share = wait_share;
+            });
+            let due = |interval: u64| agent.updates().is_multiple_of(interval);
+            let publishing = agent.updates() >= learner.pretrain_updates
+                && (due(learner.publish_interval) || self.publisher.newest().is_none());
+            let saving = due(learner.checkpoint_interval) || saved.at.elapsed() > CHECKPOINT_AGE;
+            if publishing || saving || due(learner.log_interval) {
+                let values = read(last)?;
+                if due(learner.log_interval) {
+                    self.log(metrics, values)?;
+                }
+            }
+            if publishing {
+                self.publish(agent);
+            }
+            if saving {
+                self.save(agent)?;
+                *saved = Saved {
+                    updates: agent.updates(),
+                    at: Instant::now(),
+                };
+            }
+        }
+        Ok(())
     }
 
     /// The next batch; none if there was none yet, so that the loop can look around.
@@ -295,7 +355,8 @@ impl Training {
         self.progress.set(|status| status.policy = version);
     }
 
-    fn save(&self, agent: &Agent, config: &Config) -> anyhow::Result<()> {
+    fn save(&self, agent: &Agent) -> anyhow::Result<()> {
+        let config = &self.options.config;
         let checkpoint = Checkpoint {
             counters: self.counters,
             env_spec: self.options.spec.to_string(),
@@ -356,7 +417,7 @@ impl Training {
 }
 
 /// Reads metrics from the device and refuses numbers that are none.
-fn read(measured: &[(&'static str, tch::Tensor)]) -> anyhow::Result<Vec<(String, f64)>> {
+fn read(measured: &[Metric]) -> anyhow::Result<Vec<(String, f64)>> {
     let values: Vec<(String, f64)> = measured
         .iter()
         .map(|(name, tensor)| ((*name).to_owned(), tensor.double_value(&[])))

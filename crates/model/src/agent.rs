@@ -187,10 +187,7 @@ impl Agent {
         let model = self.world.loss(batch);
         let mut metrics = model.terms;
         let (params, adam) = &mut self.groups.world;
-        metrics.push((
-            "train/grad_norm/model",
-            adam.minimize(&model.total, params, false),
-        ));
+        metrics.push(("train/grad_norm/model", adam.minimize(&model.total, params)));
 
         if self.updates >= self.config.behavior.warmup_updates {
             metrics.extend(self.learn_behavior(&model.states));
@@ -243,14 +240,11 @@ impl Agent {
             ("train/loss/critic", critic_loss.shallow_clone()),
         ];
         let (params, adam) = &mut self.groups.actor;
-        metrics.push((
-            "train/grad_norm/actor",
-            adam.minimize(&actor_loss, params, false),
-        ));
+        metrics.push(("train/grad_norm/actor", adam.minimize(&actor_loss, params)));
         let (params, adam) = &mut self.groups.critic;
         metrics.push((
             "train/grad_norm/critic",
-            adam.minimize(&critic_loss, params, false),
+            adam.minimize(&critic_loss, params),
         ));
         metrics
     }
@@ -301,12 +295,13 @@ impl Agent {
     }
 
     /// Takes weights, moments and the update counter of a checkpoint. Each update moves every optimiser by
-    /// one step, so that the counter serves them all.
+    /// one step, actor and critic from the end of the warm-up on, so that the counter serves them all.
     ///
     /// # Errors
     /// [`LoadError`] where the bytes are damaged or of another model.
     pub fn load(&mut self, model: &[u8], optimizer: &[u8], updates: u64) -> Result<(), LoadError> {
         let file = safetensors::SafeTensors::deserialize(model)?;
+        let behavior_steps = updates.saturating_sub(self.config.behavior.warmup_updates);
         let groups = &mut self.groups;
         for params in [
             &mut groups.world.0,
@@ -317,10 +312,10 @@ impl Agent {
             params.load(&file)?;
         }
         let file = safetensors::SafeTensors::deserialize(optimizer)?;
-        for (name, adam) in [
-            ("world_model", &mut groups.world.1),
-            ("actor", &mut groups.actor.1),
-            ("critic", &mut groups.critic.1),
+        for (name, adam, steps) in [
+            ("world_model", &mut groups.world.1, updates),
+            ("actor", &mut groups.actor.1, behavior_steps),
+            ("critic", &mut groups.critic.1, behavior_steps),
         ] {
             for (part, tensor) in [("first", &mut adam.first), ("second", &mut adam.second)] {
                 let name = format!("{name}.{part}");
@@ -329,7 +324,7 @@ impl Agent {
                     .map_err(|_| LoadError::Missing(name.clone()))?;
                 tensor.copy_(&tensor_of(&name, &view, &tensor.size())?);
             }
-            adam.steps = updates;
+            adam.steps = steps;
         }
         self.updates = updates;
         Ok(())
@@ -341,5 +336,144 @@ impl Agent {
             ("actor", &self.groups.actor.1),
             ("critic", &self.groups.critic.1),
         ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use isodream_core::ImageShape;
+    use isodream_core::config::Source;
+
+    use super::*;
+
+    fn agent(set: &[&str]) -> (Agent, Batch) {
+        let config = Config::load(&Source {
+            preset: Some("debug".into()),
+            file: None,
+            set: set.iter().map(|s| (*s).to_owned()).collect(),
+        })
+        .expect("a valid configuration");
+        let spec = EnvSpec {
+            id: "test".into(),
+            image: ImageShape {
+                height: 64,
+                width: 64,
+                channels: 3,
+            },
+            action_dim: 2,
+            action_repeat: 1,
+            time_limit: 50,
+        };
+        let float = (Kind::Float, Device::Cpu);
+        let actions = Tensor::rand([2, 8, 2], float) * 2.0 - 1.0;
+        let batch = Batch {
+            images: Tensor::rand([2, 8, 3, 64, 64], float) - 0.5,
+            rewards: actions.select(2, 0),
+            discounts: Tensor::ones([2, 8], float),
+            actions,
+        };
+        (Agent::new(&config, &spec, Device::Cpu), batch)
+    }
+
+    /// Sum of the norms of a loss's gradients with respect to the parameters under `prefix`.
+    fn reach(loss: &Tensor, params: &Params, prefix: &str) -> f64 {
+        let inputs: Vec<&Tensor> = params
+            .entries()
+            .iter()
+            .filter(|(name, _)| name.starts_with(prefix))
+            .map(|(_, tensor)| tensor)
+            .collect();
+        assert!(!inputs.is_empty(), "no parameter under {prefix}");
+        Tensor::run_backward(&[loss], &inputs, true, false)
+            .iter()
+            .filter(|gradient| gradient.defined())
+            .map(|gradient| gradient.norm().double_value(&[]))
+            .sum()
+    }
+
+    #[test]
+    fn gradients_of_behaviour_learning_go_where_they_should() {
+        let (agent, batch) = agent(&[]);
+        let states = agent.world.loss(&batch).states;
+        let imagined = imagine(
+            &agent.world,
+            &agent.policy(),
+            starts(&states, &agent.config),
+            &agent.config.behavior,
+        );
+        let groups = &agent.groups;
+        let memory = imagined.memory.as_ref().expect("the policy looks ahead");
+        assert!(
+            !memory.requires_grad(),
+            "noncontrollable futures are cut from the graph"
+        );
+
+        // The start's reward owes nothing to imagined actions, every later one does.
+        let reward = |t: i64| imagined.rewards.get(t).sum(Kind::Float);
+        assert_eq!(reach(&reward(0), &groups.actor.0, "actor"), 0.0);
+        assert!(reach(&reward(1), &groups.actor.0, "actor") > 0.0);
+
+        let value = agent.slow_critic.forward(&imagined.feats).sum(Kind::Float);
+        assert!(
+            reach(&value, &groups.actor.0, "actor") > 0.0,
+            "the value's gradient passes e_t"
+        );
+
+        let values = trained_values(&agent.critic, &agent.policy(), &imagined).sum(Kind::Float);
+        assert!(reach(&values, &groups.critic.0, "critic") > 0.0);
+        assert!(
+            reach(&values, &groups.critic.0, "attention") > 0.0,
+            "attention learns from the critic's loss"
+        );
+        assert_eq!(reach(&values, &groups.actor.0, "actor"), 0.0);
+        assert_eq!(reach(&values, &groups.world.0, "world_model"), 0.0);
+    }
+
+    #[test]
+    fn the_world_loss_is_the_weighted_sum_of_its_terms() {
+        let (agent, batch) = agent(&[
+            "loss.reward_scale=3",
+            "loss.action_scale=5",
+            "loss.controllable_kl_scale=7",
+            "loss.noncontrollable_kl_scale=11",
+            "loss.max_action_scale=13",
+            "loss.min_free_scale=17",
+            "loss.gate_scale=19",
+            "loss.discount_scale=23",
+            "model.discount_head=true",
+        ]);
+        let loss = agent.world.loss(&batch);
+        let term = |name: &str| {
+            let (_, value) = loss
+                .terms
+                .iter()
+                .find(|(n, _)| n.strip_prefix("train/loss/") == Some(name))
+                .unwrap_or_else(|| panic!("no term {name}"));
+            value.double_value(&[])
+        };
+        let sum = term("image")
+            + 3.0 * term("reward")
+            + 5.0 * term("action")
+            + 7.0 * term("controllable_kl")
+            + 11.0 * term("noncontrollable_kl")
+            + 13.0 * term("max_action")
+            + 17.0 * term("min_free")
+            + 19.0 * term("gate")
+            + 23.0 * term("discount");
+        let total = loss.total.double_value(&[]);
+        assert!((total - sum).abs() < 1e-5 * total.abs(), "{total} {sum}");
+    }
+
+    #[test]
+    fn without_actions_the_variance_constraints_see_equal_outcomes() {
+        let (agent, mut batch) = agent(&[]);
+        batch.actions = batch.actions.zeros_like();
+        let terms = agent.world.loss(&batch).terms;
+        let term = |name: &str| {
+            let (_, value) = terms.iter().find(|(n, _)| *n == name).expect("a term");
+            value.double_value(&[])
+        };
+        assert!((term("train/loss/max_action") - 1.0).abs() < 1e-4);
+        assert!(term("train/loss/min_free") < 1e-6);
     }
 }

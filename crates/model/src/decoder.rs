@@ -138,11 +138,17 @@ impl Decoder {
     /// The decoders of `config`.
     pub fn new(mut scope: Scope<'_>, config: &ModelConfig) -> Self {
         let feat = config.stoch + config.deter;
-        Self {
+        let decoder = Self {
             controllable: ImageDecoder::new(scope.sub("controllable"), config, feat, 4),
             noncontrollable: ImageDecoder::new(scope.sub("noncontrollable"), config, feat, 4),
             background: Background::new(scope.sub("background"), config),
+        };
+        if config.mask_bias != 0.0 {
+            for branch in [&decoder.controllable, &decoder.noncontrollable] {
+                let _ = tch::no_grad(|| branch.t3.bias.narrow(0, 3, 1).fill_(config.mask_bias));
+            }
         }
+        decoder
     }
 
     /// Pictures of both dynamic branches over one background per sequence.

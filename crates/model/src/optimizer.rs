@@ -37,9 +37,9 @@ impl Adam {
 
     /// Descends the gradient of `loss` with respect to `params` and returns the gradient's global norm
     /// before clipping.
-    pub fn minimize(&mut self, loss: &Tensor, params: &Params, keep_graph: bool) -> Tensor {
+    pub fn minimize(&mut self, loss: &Tensor, params: &Params) -> Tensor {
         let inputs = params.tensors();
-        let grads = Tensor::run_backward(&[loss], &inputs, keep_graph, false);
+        let grads = Tensor::run_backward(&[loss], &inputs, false, false);
         let _guard = tch::no_grad_guard();
         let flat: Vec<Tensor> = grads
             .iter()

@@ -102,12 +102,6 @@ impl Params {
         self.entries.iter().map(|(_, tensor)| tensor.numel()).sum()
     }
 
-    /// Copies the values of a group with the same layout.
-    pub fn copy_from(&mut self, other: &Self) {
-        let _guard = tch::no_grad_guard();
-        self.flat.copy_(&other.flat);
-    }
-
     /// Sets every parameter named in this group from a parsed file; tensors of other groups are ignored.
     ///
     /// # Errors

@@ -159,13 +159,6 @@ pub struct ActingModel {
     window: i64,
 }
 
-/// The recurrent memory of a policy over its environments.
-#[derive(Debug)]
-pub struct Memory {
-    state: State,
-    action: Tensor,
-}
-
 impl ActingModel {
     /// An acting model with random weights; [`Self::load`] gives it those of a learner.
     pub fn new(config: &Config, action_dim: usize, device: Device) -> Self {
@@ -213,48 +206,43 @@ impl ActingModel {
         }
     }
 
-    /// An empty memory for `environments`.
-    pub fn begin(&self, environments: i64, action_dim: i64) -> Memory {
-        let device = self.params.device();
-        Memory {
-            state: self.rssm.initial(environments, device),
-            action: Tensor::zeros([environments, action_dim], (tch::Kind::Float, device)),
-        }
+    /// The latents before the first step of `environments` episodes.
+    pub fn begin(&self, environments: i64) -> State {
+        self.rssm.initial(environments, self.params.device())
     }
 
-    /// One decision (Alg. 1, lines 21-24): posterior, rollout, attention, action. Environments that were just
-    /// reset (`is_first`) start from the initial state and a zero action.
+    /// One decision (Alg. 1, lines 21-24): posterior, rollout, attention, action. `state` is the memory between
+    /// steps; environments that were just reset (`is_first`) start from the initial one.
     ///
     /// # Shapes
-    /// `images: [M, 3, 64, 64]`, `is_first: [M]` `-> [M, A]`
+    /// `images: [M, 3, 64, 64]`, `executed: [M, A]`, the actions that led to them, zero after a reset,
+    /// `is_first: [M]` `-> [M, A]`
     pub fn step(
         &self,
-        memory: &mut Memory,
+        state: &mut State,
         images: &Tensor,
+        executed: &Tensor,
         is_first: &[bool],
         actions: Actions,
     ) -> Tensor {
         let _guard = tch::no_grad_guard();
         let device = self.params.device();
-        let images = images.to_device(device);
+        let (images, executed) = (images.to_device(device), executed.to_device(device));
         if is_first.contains(&true) {
             let keep: Vec<f32> = is_first
                 .iter()
                 .map(|&first| f32::from(u8::from(!first)))
                 .collect();
             let keep = Tensor::from_slice(&keep).unsqueeze(1).to_device(device);
-            memory.state = memory.state.map(|x| x * &keep);
-            memory.action = &memory.action * &keep;
+            *state = state.map(|x| x * &keep);
         }
         let stem = self.encoder.stem.forward(&images);
-        let embed = self.encoder.embed(&stem, &memory.action);
-        memory.state = self
-            .rssm
-            .observe_step(&memory.state, &memory.action, &embed);
+        let embed = self.encoder.embed(&stem, &executed);
+        *state = self.rssm.observe_step(state, &executed, &embed);
         let policy = self.policy();
-        let lookahead = policy.look_ahead(&memory.state);
-        memory.action = policy.act(&policy.feat(&memory.state, &lookahead), actions);
-        memory.action.to_device(Device::Cpu)
+        let lookahead = policy.look_ahead(state);
+        let action = policy.act(&policy.feat(state, &lookahead), actions);
+        action.to_device(Device::Cpu)
     }
 }
 

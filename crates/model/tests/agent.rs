@@ -93,34 +93,57 @@ fn deployed_and_imagined_policy_act_alike() {
         let images = batch(&config).images.select(1, 0);
         let count = images.size()[0];
 
-        tch::manual_seed(5);
-        let mut memory = acting.begin(count, ACTIONS as i64);
-        let deployed = acting.step(
-            &mut memory,
-            &images,
-            &vec![true; count as usize],
-            Actions::Sample,
-        );
+        let next_images = batch(&config).images.select(1, 1);
+        let nothing = Tensor::zeros([count, ACTIONS as i64], (Kind::Float, Device::Cpu));
+        let (first, later) = (vec![true; count as usize], vec![false; count as usize]);
 
         tch::manual_seed(5);
-        let nothing = Tensor::zeros([count, ACTIONS as i64], (Kind::Float, Device::Cpu));
+        let mut memory = acting.begin(count);
+        let deployed = acting.step(&mut memory, &images, &nothing, &first, Actions::Sample);
+
+        tch::manual_seed(5);
         let encoder = &agent.world.encoder;
         let embed = encoder.embed(&encoder.stem.forward(&images), &nothing);
         let initial = agent.world.rssm.initial(count, Device::Cpu);
         let state = agent.world.rssm.observe_step(&initial, &nothing, &embed);
-        let imagined = imagine(&agent.world, &agent.policy(), state, &config.behavior);
+        let start = state.map(Tensor::shallow_clone);
+        let imagined = imagine(&agent.world, &agent.policy(), start, &config.behavior);
         assert!(
             imagined.actions.get(0).equal(&deployed),
             "{set:?}: {} {deployed}",
             imagined.actions.get(0)
         );
+
+        // The second step goes on from the first one's latents and action.
+        tch::manual_seed(6);
+        let second = acting.step(
+            &mut memory,
+            &next_images,
+            &deployed,
+            &later,
+            Actions::Sample,
+        );
+        tch::manual_seed(6);
+        let embed = encoder.embed(&encoder.stem.forward(&next_images), &deployed);
+        let state = agent.world.rssm.observe_step(&state, &deployed, &embed);
+        let policy = agent.policy();
+        let wanted = policy.act(
+            &policy.feat(&state, &policy.look_ahead(&state)),
+            Actions::Sample,
+        );
+        assert!(second.equal(&wanted), "{set:?}: {second} {wanted}");
+
+        // A reset forgets both.
+        tch::manual_seed(5);
+        let again = acting.step(&mut memory, &images, &nothing, &first, Actions::Sample);
+        assert!(again.equal(&deployed), "{set:?}: {again} {deployed}");
     }
 }
 
 #[test]
 fn a_resumed_agent_makes_the_updates_of_an_unbroken_one() {
     let _alone = alone();
-    let config = small(&[]);
+    let config = small(&["behavior.warmup_updates=1"]);
     let batch = batch(&config);
     let mut unbroken = Agent::new(&config, &spec(), Device::Cpu);
     for _ in 0..2 {
@@ -138,6 +161,7 @@ fn a_resumed_agent_makes_the_updates_of_an_unbroken_one() {
     assert!(resumed.save_optimizer() == unbroken.save_optimizer());
 
     let mut different = Agent::new(&other, &spec(), Device::Cpu);
+    different.load(&model, &optimizer, 2).expect("own weights");
     different.update(&batch);
     assert!(different.save_model() != unbroken.save_model());
 }

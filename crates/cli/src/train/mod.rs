@@ -47,15 +47,24 @@ pub(crate) struct TrainArgs {
 /// Runs the command.
 pub(crate) async fn run(args: TrainArgs) -> anyhow::Result<()> {
     let config = resolve(&args.config, &args.run_dir)?;
+    // Everything that can be wrong is told before the run directory is touched.
+    isodream_envs::make(&config.env)?;
+    ensure!(
+        config.actor.collectors > 0,
+        "actor.collectors: must be greater than 0, or nobody collects experience"
+    );
+    let limit = args
+        .minutes
+        .map(|minutes| {
+            Duration::try_from_secs_f64(60.0 * minutes)
+                .with_context(|| format!("--minutes {minutes}: must be a positive number"))
+        })
+        .transpose()?;
+    let (replay, learner) = fixed_addresses(&args.replay_listen, &args.learner_listen).await?;
     let config_path = args.run_dir.join("config.toml");
     std::fs::create_dir_all(args.run_dir.join("logs"))
         .and_then(|()| std::fs::write(&config_path, config.to_toml()))
         .with_context(|| format!("cannot write the run directory {}", args.run_dir.display()))?;
-    // Wrong environments are told before anything starts.
-    isodream_envs::make(&config.env)?;
-
-    let replay = fixed_address(&args.replay_listen).await?;
-    let learner = fixed_address(&args.learner_listen).await?;
     let shutdown = shutdown_on_signal()?;
     let mut processes = Processes::new(&args.run_dir);
     let path = |path: &Path| path.display().to_string();
@@ -107,9 +116,6 @@ pub(crate) async fn run(args: TrainArgs) -> anyhow::Result<()> {
 
     let started = Instant::now();
     let mut progress = Progress::new(&config, &replay, &learner)?;
-    let limit = args
-        .minutes
-        .map(|minutes| Duration::from_secs_f64(60.0 * minutes));
     let ended = loop {
         if let Err(error) = processes.tend() {
             processes.stop().await;
@@ -141,7 +147,9 @@ pub(crate) async fn run(args: TrainArgs) -> anyhow::Result<()> {
         return Ok(());
     }
     eprintln!("evaluating {} episodes per policy ...", args.eval_episodes);
-    let evaluation = tokio::task::block_in_place(|| evaluate(&args.run_dir, args.eval_episodes))?;
+    let go_on = || !shutdown.is_cancelled();
+    let evaluation =
+        tokio::task::block_in_place(|| evaluate(&args.run_dir, args.eval_episodes, &go_on))?;
     let file = args.run_dir.join("evaluation.json");
     std::fs::write(&file, serde_json::to_string_pretty(&evaluation)?)
         .with_context(|| format!("cannot write {}", file.display()))?;
@@ -168,11 +176,17 @@ fn resolve(asked: &ConfigArgs, run_dir: &Path) -> anyhow::Result<Config> {
     Ok(new)
 }
 
-/// `address` with port 0 replaced by a free port, which restarted roles can then come back to.
-async fn fixed_address(address: &str) -> anyhow::Result<String> {
-    let listener = isodream_rpc::bind(address).await?;
-    Ok(listener
-        .local_addr()
-        .context("the listener has no address")?
-        .to_string())
+/// The addresses with port 0 replaced by free ports, which restarted roles can then come back to.
+async fn fixed_addresses(replay: &str, learner: &str) -> anyhow::Result<(String, String)> {
+    let listeners = (
+        isodream_rpc::bind(replay).await?,
+        isodream_rpc::bind(learner).await?,
+    );
+    let address = |listener: &tokio::net::TcpListener| -> anyhow::Result<String> {
+        let address = listener
+            .local_addr()
+            .context("the listener has no address")?;
+        Ok(address.to_string())
+    };
+    Ok((address(&listeners.0)?, address(&listeners.1)?))
 }

@@ -11,8 +11,9 @@ use tokio::process::{Child, Command};
 /// A role that dies sooner than this was not able to start.
 const EARLY: Duration = Duration::from_secs(5);
 
-/// Early deaths in a row that are put up with, after the first good start.
-const EARLY_DEATHS: u32 = 5;
+/// Deaths within [`DEATH_WINDOW`] that are put up with. A role that dies again and again will not get better.
+const MAX_DEATHS: usize = 5;
+const DEATH_WINDOW: Duration = Duration::from_secs(600);
 
 /// Longest pause before a restart.
 const LONGEST_PAUSE: Duration = Duration::from_secs(5);
@@ -28,10 +29,11 @@ pub(crate) struct Process {
     name: String,
     args: Vec<String>,
     state: State,
-    /// Ends so far that were not asked for.
-    deaths: u32,
-    early_deaths: u32,
+    /// When it ended without being asked to, the newest last.
+    deaths: Vec<Instant>,
     started_well: bool,
+    /// Where this start's lines begin in the log.
+    log_offset: u64,
 }
 
 #[derive(Debug)]
@@ -57,9 +59,9 @@ impl Process {
             name: name.to_owned(),
             args,
             state: State::Due(Instant::now()),
-            deaths: 0,
-            early_deaths: 0,
+            deaths: Vec::new(),
             started_well: false,
+            log_offset: 0,
         }
     }
 
@@ -69,7 +71,7 @@ impl Process {
 
     /// What the supervisor has to say of it; nothing if it simply runs.
     pub(crate) fn trouble(&self) -> Option<String> {
-        match (&self.state, self.deaths) {
+        match (&self.state, self.deaths.len()) {
             (State::Running(..), 0) => None,
             (State::Running(..), deaths) => Some(format!("restarted {deaths} times")),
             (State::Due(_), 0) => Some("starting".into()),
@@ -85,6 +87,7 @@ impl Process {
             .append(true)
             .open(&path)
             .with_context(|| format!("cannot open {}", path.display()))?;
+        self.log_offset = log.metadata().map_or(0, |metadata| metadata.len());
         let program = std::env::current_exe().context("this program has no path")?;
         let child = Command::new(program)
             .args(&self.args)
@@ -103,25 +106,23 @@ impl Process {
         Ok(())
     }
 
-    /// Notices an end and decides what follows.
+    /// Notices an end and decides what follows. Only the learner may end by itself; a role that somebody else
+    /// told to stop is started again.
     fn ended(&mut self, status: ExitStatus, lived: Duration, logs: &Path) -> anyhow::Result<()> {
-        if status.success() {
+        if status.success() && self.name == "learner" {
             self.state = State::Finished;
             return Ok(());
         }
-        self.deaths += 1;
-        self.early_deaths = if lived < EARLY {
-            self.early_deaths + 1
-        } else {
-            1
-        };
-        let hopeless = lived < EARLY && (!self.started_well || self.early_deaths >= EARLY_DEATHS);
-        if hopeless {
-            bail!("{} failed: {}", self.name, self.last_words(logs));
+        let now = Instant::now();
+        self.deaths.retain(|at| now - *at < DEATH_WINDOW);
+        self.deaths.push(now);
+        let unable = !status.success() && lived < EARLY && !self.started_well;
+        if unable || self.deaths.len() > MAX_DEATHS {
+            bail!("{} failed: {}", self.name, self.last_words(status, logs));
         }
-        let pause = Duration::from_millis(250 << self.early_deaths.min(6)).min(LONGEST_PAUSE);
+        let pause = Duration::from_millis(250 << self.deaths.len()).min(LONGEST_PAUSE);
         tracing::warn!(role = self.name, %status, pause_ms = pause.as_millis() as u64, "restarting");
-        self.state = State::Due(Instant::now() + pause);
+        self.state = State::Due(now + pause);
         Ok(())
     }
 
@@ -130,14 +131,19 @@ impl Process {
     }
 
     /// The error a role ended with, or where to look for it.
-    fn last_words(&self, logs: &Path) -> String {
+    fn last_words(&self, status: ExitStatus, logs: &Path) -> String {
         let path = self.log(logs);
-        let text = std::fs::read_to_string(&path).unwrap_or_default();
+        let bytes = std::fs::read(&path).unwrap_or_default();
+        let this_start = bytes.get(self.log_offset as usize..).unwrap_or_default();
+        let text = String::from_utf8_lossy(this_start);
         let error = text
             .lines()
             .rev()
             .find_map(|line| line.strip_prefix("error: "));
-        error.map_or_else(|| format!("see {}", path.display()), str::to_owned)
+        error.map_or_else(
+            || format!("it ended with {status}; see {}", path.display()),
+            str::to_owned,
+        )
     }
 }
 

@@ -141,6 +141,12 @@ impl Config {
             ("model.stoch", self.model.stoch as f64),
             ("model.hidden", self.model.hidden as f64),
             ("model.units", self.model.units as f64),
+            ("model.min_std", self.model.min_std),
+            ("actor.threads", f64::from(self.actor.threads)),
+            ("optimizer.model_lr", self.optimizer.model_lr),
+            ("optimizer.actor_lr", self.optimizer.actor_lr),
+            ("optimizer.critic_lr", self.optimizer.critic_lr),
+            ("optimizer.grad_clip", self.optimizer.grad_clip),
             ("model.attention_dim", self.model.attention_dim as f64),
             (
                 "model.background_frames",
@@ -181,6 +187,24 @@ impl Config {
                 return Err(invalid(key, "must be greater than 0"));
             }
         }
+        let shares = [
+            (
+                "loss.controllable_posterior_share",
+                self.loss.controllable_posterior_share,
+            ),
+            (
+                "loss.noncontrollable_posterior_share",
+                self.loss.noncontrollable_posterior_share,
+            ),
+            ("loss.kl_balance", self.loss.kl_balance),
+            ("behavior.discount", self.behavior.discount),
+            ("behavior.lambda", self.behavior.lambda),
+        ];
+        for (key, value) in shares {
+            if !(0.0..=1.0).contains(&value) {
+                return Err(invalid(key, "must lie between 0 and 1"));
+            }
+        }
         let background = self.model.background_frames as usize;
         if self.learner.batch_length < background.max(2) {
             return Err(invalid(
@@ -208,6 +232,22 @@ impl Config {
         }
         if self.behavior.rollout_window < 0 {
             return Err(invalid("behavior.rollout_window", "must not be negative"));
+        }
+        let tolerance = self.replay.limiter_tolerance_batches;
+        if tolerance.is_nan() || tolerance < 1.0 {
+            return Err(invalid(
+                "replay.limiter_tolerance_batches",
+                "must be at least 1",
+            ));
+        }
+        if self.learner.threads < 0 {
+            return Err(invalid("learner.threads", "must not be negative"));
+        }
+        if self.total_updates() == 0 {
+            return Err(invalid(
+                "learner.env_frames",
+                "must leave agent steps after learner.prefill_steps, or nothing is trained",
+            ));
         }
         if self.behavior.start_share > 1.0 {
             return Err(invalid("behavior.start_share", "must not exceed 1"));
@@ -375,6 +415,8 @@ mod tests {
             ("behavior.start_share=1.5", "behavior.start_share"),
             ("model.inverse=magic", "magic"),
             ("env.image_size=128", "env.image_size"),
+            ("loss.kl_balance=1.5", "loss.kl_balance"),
+            ("actor.threads=0", "actor.threads"),
         ] {
             let error = load(None, &[given]).expect_err("invalid").to_string();
             assert!(error.contains(key), "{error}");

@@ -63,6 +63,10 @@ pub struct ModelConfig {
     pub encoder_actions: bool,
     /// What the inverse dynamics sees.
     pub inverse: InverseInput,
+    /// Initial bias of the mask logits. 0 keeps PyTorch's random initialisation, as in the authors' code: each
+    /// dynamic branch begins with about half of every pixel and the static one with nothing. Below 0, the
+    /// dynamic branches begin with little and claim what they need.
+    pub mask_bias: f64,
     /// Whether the end of an episode is predicted (`ln p(gamma_t)` of Eq. 6; off in the published setups).
     pub discount_head: bool,
 }
@@ -87,6 +91,7 @@ impl Default for ModelConfig {
             dependency_gate: true,
             encoder_actions: true,
             inverse: InverseInput::Posterior,
+            mask_bias: 0.0,
             discount_head: false,
         }
     }
@@ -96,7 +101,7 @@ impl Default for ModelConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LossConfig {
-    /// Weight of the reward log loss.
+    /// Weight of the reward log loss: 2 in the authors' code, 1 in the paper.
     pub reward_scale: f64,
     /// `alpha` of Eq. 6: weight of the action loss.
     pub action_scale: f64,

@@ -45,6 +45,16 @@ fn truncated_normal() {
         ],
     );
 
+    let pair = TruncatedNormal {
+        mean: Tensor::stack(&[&mean, &mean], -1),
+        std: Tensor::stack(&[&std, &std], -1),
+    };
+    assert!(
+        pair.entropy()
+            .allclose(&(single.entropy() * 2.0), 1e-5, 1e-6, false),
+        "entropy is a sum over action dimensions"
+    );
+
     let x = tensor("truncated_normal.inputs.x");
     let (rows, columns) = (x.size()[0], x.size()[1]);
     let grid = |x: &Tensor| x.view([-1, 1, 1]).expand([rows, columns, 1], false);
@@ -116,11 +126,15 @@ fn actor_and_critic_losses() {
 }
 
 #[test]
-fn standard_deviation_of_the_actor() {
+fn mean_and_standard_deviation_of_the_actor() {
     let raw = tensor("std_transform.inputs.raw");
-    let both = Tensor::stack(&[raw.zeros_like(), raw], -1);
-    let std = TruncatedNormal::from_raw(&both).std.squeeze_dim(-1);
-    assert_close(&std, "std_transform.outputs.std");
+    let distribution = TruncatedNormal::from_raw(&Tensor::stack(&[&raw, &raw], -1));
+    assert_close(
+        &distribution.std.squeeze_dim(-1),
+        "std_transform.outputs.std",
+    );
+    let mean = distribution.mean.squeeze_dim(-1);
+    assert!(mean.allclose(&raw.tanh(), 1e-6, 1e-6, false));
 }
 
 #[test]

@@ -72,8 +72,6 @@ fn rssm_step() {
     let posterior = branch.posterior(&deter, &branch.project_embed(&tensor(&input("embed"))));
     assert_close(&posterior.mean, "rssm_step.outputs.post_mean");
     assert_close(&posterior.std, "rssm_step.outputs.post_std");
-    let sample = &prior.mean + &prior.std * tensor(&input("eps_prior"));
-    assert_close(&sample, "rssm_step.outputs.prior_stoch");
 }
 
 #[test]
