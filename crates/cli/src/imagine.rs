@@ -217,13 +217,9 @@ impl Panel {
 }
 
 fn label(name: &str, t: usize) -> String {
-    let phase = if (t as i64) < CONTEXT {
-        "seen"
-    } else {
-        "open loop"
-    };
     match name {
-        "prediction" => format!("{name} {t} {phase}"),
+        "prediction" if (t as i64) < CONTEXT => format!("seen {t}"),
+        "prediction" => format!("predicted {t}"),
         "truth" => format!("{name} {t}"),
         _ => name.to_owned(),
     }
