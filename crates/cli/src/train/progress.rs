@@ -26,9 +26,11 @@ pub(crate) struct Progress {
     action_repeat: u64,
     terminal: bool,
     next_plain: Instant,
+    answers: Answers,
 }
 
-/// The newest answers; none from a role that is not up.
+/// The newest answers; none from a role that has never been up.
+#[derive(Default)]
 struct Answers {
     learner: Option<v1::LearnerStatus>,
     replay: Option<v1::ReplayStatus>,
@@ -48,6 +50,7 @@ impl Progress {
             action_repeat: u64::from(config.env.action_repeat),
             terminal: std::io::stderr().is_terminal(),
             next_plain: Instant::now() + PLAIN_INTERVAL,
+            answers: Answers::default(),
         })
     }
 
@@ -57,12 +60,15 @@ impl Progress {
             return;
         }
         let answers = self.ask().await;
+        // A role that is being restarted keeps its last words on the screen.
+        self.answers.learner = answers.learner.or(self.answers.learner.take());
+        self.answers.replay = answers.replay.or(self.answers.replay.take());
         if self.terminal {
-            self.draw(processes, &answers);
+            self.draw(processes);
         } else {
             self.next_plain = Instant::now() + PLAIN_INTERVAL;
             for process in processes.iter() {
-                let line = self.line(process, &answers);
+                let line = self.line(process);
                 eprintln!("{:<10} {line}", process.name());
             }
         }
@@ -106,12 +112,12 @@ impl Progress {
         }
     }
 
-    fn draw(&mut self, processes: &Processes, answers: &Answers) {
+    fn draw(&mut self, processes: &Processes) {
         for (index, process) in processes.iter().enumerate() {
             if index == self.lines.len() {
                 let template = match process.name() {
-                    "learner" => "{prefix:<10} [{bar:24}] {msg}",
-                    _ => "{prefix:<10} {msg}",
+                    "learner" => "{prefix:<10} [{bar:24}] {wide_msg}",
+                    _ => "{prefix:<10} {wide_msg}",
                 };
                 let style = ProgressStyle::with_template(template)
                     .unwrap_or_else(|_| ProgressStyle::default_bar());
@@ -122,15 +128,16 @@ impl Progress {
                 self.lines.push(bar);
             }
             let bar = &self.lines[index];
-            if let Some(learner) = &answers.learner {
+            if let Some(learner) = &self.answers.learner {
                 bar.set_position(learner.updates);
             }
-            bar.set_message(self.line(process, answers));
+            bar.set_message(self.line(process));
             bar.tick();
         }
     }
 
-    fn line(&self, process: &Process, answers: &Answers) -> String {
+    fn line(&self, process: &Process) -> String {
+        let answers = &self.answers;
         let said = match process.name() {
             "replay" => answers
                 .replay
@@ -161,8 +168,10 @@ impl Progress {
             ("inserts wait", &status.insert_waiting),
             ("samples wait", &status.sample_waiting),
         ] {
-            if !why.is_empty() {
-                line += &format!("  {side}: {why}");
+            // The numbers behind the reason are in the status; a line has no room for them.
+            let reason = why.split(':').next().unwrap_or_default();
+            if !reason.is_empty() {
+                line += &format!("  {side}: {reason}");
             }
         }
         line
