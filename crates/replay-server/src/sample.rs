@@ -142,8 +142,10 @@ impl SampleStream {
                     self.reply(reply).await?;
                 }
                 Err((chunk, error)) => {
+                    let dropped = self.drop_unreadable(&chunk, &error);
+                    // After the store has changed, because this wakes those who wait for it.
                     self.state.undo_draw(draw, self.sampler.sequence_length());
-                    self.drop_unreadable(&chunk, &error)?;
+                    dropped?;
                     self.credits.push_front((draw, 1));
                 }
             }
