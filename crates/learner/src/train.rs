@@ -13,7 +13,7 @@ use isodream_proto::v1::learner_service_server::LearnerServiceServer;
 use isodream_proto::{Identity, v1};
 use isodream_rpc::limits::MAX_MESSAGE_BYTES;
 use isodream_rpc::{SampleClient, SampleOptions, replay_client};
-use isodream_telemetry::MetricsWriter;
+use isodream_telemetry::{MetricsWriter, ResumePoint};
 use tokio_util::sync::CancellationToken;
 
 use crate::LearnerOptions;
@@ -31,6 +31,9 @@ const POLL: Duration = Duration::from_secs(1);
 
 /// A checkpoint is at most this old, however slow the updates are.
 const CHECKPOINT_AGE: Duration = Duration::from_secs(300);
+
+/// The metric that counts updates.
+const UPDATES: &str = "train/updates";
 
 /// Why a learner ended well.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -235,8 +238,12 @@ impl Training {
                 "resumed from checkpoint"
             );
         }
-        let resume_frames = resumed.then_some(self.counters.env_frames);
-        let mut metrics = MetricsWriter::open(&self.options.run_dir, resume_frames)?;
+        let resume = resumed.then_some(ResumePoint {
+            frames: self.counters.env_frames,
+            counter: UPDATES,
+            count: self.counters.updates as f64,
+        });
+        let mut metrics = MetricsWriter::open(&self.options.run_dir, resume.as_ref())?;
         let total = config.total_updates();
         let pretrain = config.learner.pretrain_updates;
         if agent.updates() >= pretrain && resumed {
@@ -377,7 +384,7 @@ impl Training {
     ) -> anyhow::Result<()> {
         let status = self.progress.status();
         values.extend([
-            ("train/updates".to_owned(), status.updates as f64),
+            (UPDATES.to_owned(), status.updates as f64),
             ("train/wait_share".to_owned(), status.wait_share),
             ("fps/env".to_owned(), status.env_frames_per_s),
             (

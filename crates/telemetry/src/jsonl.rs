@@ -1,5 +1,6 @@
 //! `metrics.jsonl`: one JSON object per line, appended to across restarts of a run.
 
+use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufRead, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -7,6 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use serde::ser::{SerializeMap, Serializer};
 
+use crate::metrics::ResumePoint;
 use crate::{Error, Result};
 
 const FRAMES: &str = "frames";
@@ -19,25 +21,30 @@ pub(crate) struct JsonlWriter {
     path: PathBuf,
 }
 
-/// The one field of a line that resuming needs.
-#[derive(Deserialize)]
-struct Position {
-    frames: u64,
+/// One whole line.
+#[derive(Debug, PartialEq, Deserialize)]
+pub(crate) struct Line {
+    pub(crate) frames: u64,
+    pub(crate) time: f64,
+    #[serde(flatten)]
+    pub(crate) values: BTreeMap<String, Option<f64>>,
 }
 
 impl JsonlWriter {
-    /// Opens `path` for appending, after [`keep_until`] has removed what a killed run left behind.
-    pub(crate) fn open(path: &Path, resume_frames: Option<u64>) -> Result<Self> {
-        keep_until(path, resume_frames).map_err(Error::io("clean up", path))?;
+    /// Opens `path` for appending, after [`clean_up`] has removed what a killed run left behind. Returns the
+    /// lines beyond `resume` that stay.
+    pub(crate) fn open(path: &Path, resume: Option<&ResumePoint<'_>>) -> Result<(Self, Vec<Line>)> {
+        let later = clean_up(path, resume).map_err(Error::io("clean up", path))?;
         let file = OpenOptions::new()
             .create(true)
             .append(true)
             .open(path)
             .map_err(Error::io("open", path))?;
-        Ok(Self {
+        let writer = Self {
             file,
             path: path.to_owned(),
-        })
+        };
+        Ok((writer, later))
     }
 
     /// Appends one line in one write, so that readers never wait for a buffer.
@@ -92,42 +99,53 @@ fn write_line<N: AsRef<str>>(
     Ok(())
 }
 
-/// Removes every line that is not whole, and with `last_frames` those of later frames as well: the run
-/// goes back to that point and writes them again.
-fn keep_until(path: &Path, last_frames: Option<u64>) -> io::Result<()> {
+/// Removes every line that is not whole, and those that a run which goes back to `resume` writes again.
+/// Returns the later lines that stay.
+fn clean_up(path: &Path, resume: Option<&ResumePoint<'_>>) -> io::Result<Vec<Line>> {
     let source = match File::open(path) {
         Ok(file) => file,
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         Err(error) => return Err(error),
     };
+    let redone = |line: &Line| {
+        resume.is_some_and(|resume| {
+            let count = line.values.get(resume.counter).copied().flatten();
+            count.is_some_and(|count| count > resume.count)
+        })
+    };
+    let mut stay = Vec::new();
     let mut kept_path = path.as_os_str().to_owned();
     kept_path.push(".tmp");
     let mut reader = BufReader::new(source);
     let mut kept = BufWriter::new(File::create(&kept_path)?);
-    let (mut torn, mut later) = (0_u64, 0_u64);
+    let (mut torn, mut removed) = (0_u64, 0_u64);
     let mut line = Vec::new();
     while reader.read_until(b'\n', &mut line)? > 0 {
-        match serde_json::from_slice::<Position>(&line) {
-            Ok(position) if line.ends_with(b"\n") => {
-                if last_frames.is_some_and(|last| position.frames > last) {
-                    later += 1;
+        match serde_json::from_slice::<Line>(&line) {
+            Ok(whole) if line.ends_with(b"\n") => {
+                if redone(&whole) {
+                    removed += 1;
                 } else {
                     kept.write_all(&line)?;
+                    if resume.is_some_and(|resume| whole.frames > resume.frames) {
+                        stay.push(whole);
+                    }
                 }
             }
             _ => torn += 1,
         }
         line.clear();
     }
-    if torn == 0 && later == 0 {
-        return fs::remove_file(&kept_path);
+    if torn == 0 && removed == 0 {
+        fs::remove_file(&kept_path)?;
+        return Ok(stay);
     }
     kept.into_inner()
         .map_err(io::IntoInnerError::into_error)?
         .sync_all()?;
     fs::rename(&kept_path, path)?;
-    tracing::info!(path = %path.display(), torn, later, "metric lines removed on resume");
-    Ok(())
+    tracing::info!(path = %path.display(), torn, removed, "metric lines removed on resume");
+    Ok(stay)
 }
 
 #[cfg(test)]
@@ -154,22 +172,42 @@ mod tests {
     }
 
     #[test]
-    fn resuming_removes_torn_and_later_lines_and_appends() {
+    fn resuming_removes_torn_lines_and_those_that_will_be_written_again() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("metrics.jsonl");
-        let mut writer = JsonlWriter::open(&path, None).unwrap();
-        for frames in [10, 30, 20] {
-            writer.line(frames, 0.0, &[("x", frames as f64)]).unwrap();
+        let (mut writer, _) = JsonlWriter::open(&path, None).unwrap();
+        for (frames, name, value) in [
+            (10, "updates", 1.0),
+            (20, "updates", 2.0),
+            (30, "score", -7.0),
+            (30, "updates", 3.0),
+        ] {
+            writer.line(frames, 0.5, &[(name, value)]).unwrap();
         }
         writer.file.write_all(b"{\"frames\":15,\"ti").unwrap();
 
-        let mut writer = JsonlWriter::open(&path, Some(20)).unwrap();
-        writer.line(21, 0.0, &[("x", 21.0)]).unwrap();
+        let resume = ResumePoint {
+            frames: 20,
+            counter: "updates",
+            count: 2.0,
+        };
+        let (mut writer, later) = JsonlWriter::open(&path, Some(&resume)).unwrap();
+        writer.line(31, 0.5, &[("updates", 3.0)]).unwrap();
         let frames: Vec<_> = lines(&path)
             .iter()
             .map(|line| line["frames"].clone())
             .collect();
-        assert_eq!(frames, [json!(10), json!(20), json!(21)]);
+        assert_eq!(
+            frames,
+            [json!(10), json!(20), json!(30), json!(31)],
+            "the episode of 30 stays, nobody reports it again"
+        );
+        let score = Line {
+            frames: 30,
+            time: 0.5,
+            values: [("score".to_owned(), Some(-7.0))].into(),
+        };
+        assert_eq!(later, [score]);
         assert_eq!(
             fs::read_dir(dir.path()).unwrap().count(),
             1,
@@ -181,8 +219,9 @@ mod tests {
     fn a_whole_line_without_its_newline_is_torn() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("metrics.jsonl");
-        fs::write(&path, "{\"frames\":1}\n{\"frames\":2}").unwrap();
+        let whole = "{\"frames\":1,\"time\":0.0}\n";
+        fs::write(&path, format!("{whole}{{\"frames\":2,\"time\":0.0}}")).unwrap();
         JsonlWriter::open(&path, None).unwrap();
-        assert_eq!(fs::read_to_string(&path).unwrap(), "{\"frames\":1}\n");
+        assert_eq!(fs::read_to_string(&path).unwrap(), whole);
     }
 }

@@ -13,7 +13,7 @@ mod video;
 
 pub use error::{Error, Result};
 pub use logging::{LOG_FILTER_VARIABLE, LogFormat, init_logging};
-pub use metrics::MetricsWriter;
+pub use metrics::{MetricsWriter, ResumePoint};
 pub use picture::Rgb;
 pub use tensorboard::EventWriter;
 pub use video::{VideoWriter, write_mp4};

@@ -7,6 +7,17 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use crate::jsonl::{JsonlWriter, check_name};
 use crate::{Error, EventWriter, Result, Rgb};
 
+/// The point a run goes back to when it resumes.
+#[derive(Debug, Clone, Copy)]
+pub struct ResumePoint<'a> {
+    /// Environment frames at that point.
+    pub frames: u64,
+    /// The metric that counts what is done again, for example `train/updates`.
+    pub counter: &'a str,
+    /// Its value at that point.
+    pub count: f64,
+}
+
 /// Writes `metrics.jsonl` and a TensorBoard event file into one folder. The x axis of everything is
 /// environment frames, action repeat counted.
 #[derive(Debug)]
@@ -19,17 +30,25 @@ impl MetricsWriter {
     /// Opens the metrics in `dir`, which is made if needed. Where a run was here before, its lines are
     /// appended to; a line torn by a crash is removed.
     ///
-    /// `resume_frames` is the point the run goes back to: metrics of later frames are removed, because
-    /// the run will write them a second time. TensorBoard gets a new event file that says the same.
+    /// Lines in which the counter of `resume` is beyond that point are removed, because the run will write
+    /// them a second time. All others stay, those of later frames too: an episode is reported once.
+    /// TensorBoard gets a new event file that says the same.
     ///
     /// # Errors
     /// [`Error::Io`] if the folder or its files cannot be read and written.
-    pub fn open(dir: &Path, resume_frames: Option<u64>) -> Result<Self> {
+    pub fn open(dir: &Path, resume: Option<&ResumePoint<'_>>) -> Result<Self> {
         fs::create_dir_all(dir).map_err(Error::io("create", dir))?;
-        Ok(Self {
-            jsonl: JsonlWriter::open(&dir.join("metrics.jsonl"), resume_frames)?,
-            events: EventWriter::create(dir, resume_frames)?,
-        })
+        let (jsonl, later) = JsonlWriter::open(&dir.join("metrics.jsonl"), resume)?;
+        let mut events = EventWriter::create(dir, resume.map(|resume| resume.frames))?;
+        for line in later {
+            let values: Vec<(String, f64)> = line
+                .values
+                .into_iter()
+                .map(|(name, value)| (name, value.unwrap_or(f64::NAN)))
+                .collect();
+            events.scalars(line.frames, line.time, &values)?;
+        }
+        Ok(Self { jsonl, events })
     }
 
     /// Writes `values` as one JSON line and one TensorBoard event. A value that is not finite becomes
@@ -91,11 +110,16 @@ mod tests {
     fn a_resumed_run_appends_lines_and_starts_a_new_event_file() {
         let dir = tempfile::tempdir().unwrap();
         let run = dir.path().join("run");
-        for resume in [None, Some(100)] {
+        let resume = ResumePoint {
+            frames: 100,
+            counter: "train/updates",
+            count: 1.0,
+        };
+        for resume in [None, Some(&resume)] {
             let mut metrics = MetricsWriter::open(&run, resume).unwrap();
-            for frames in [50, 150] {
+            for (frames, updates) in [(50, 1.0), (150, 2.0)] {
                 metrics
-                    .scalars(frames, &[("train/loss/model", 0.5)])
+                    .scalars(frames, &[("train/updates", updates)])
                     .unwrap();
             }
             metrics
