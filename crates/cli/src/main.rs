@@ -3,12 +3,14 @@
 //! `isodream train` starts every role as a process of its own on this machine; `replay`, `learner` and `actor`
 //! start one role, anywhere. `eval`, `imagine` and `report` look at what a run has learned.
 
+mod bench;
 mod config_args;
 mod eval;
 mod imagine;
 mod report;
 mod roles;
 mod train;
+mod tuning;
 
 use std::process::ExitCode;
 
@@ -39,6 +41,9 @@ enum Command {
     Imagine(imagine::ImagineArgs),
     /// Draw the learning curves of runs
     Report(report::ReportArgs),
+    /// Measure how fast the parts are on this machine
+    #[command(subcommand)]
+    Bench(bench::BenchCommand),
 }
 
 fn main() -> ExitCode {
@@ -53,6 +58,10 @@ fn main() -> ExitCode {
 }
 
 fn run(command: Command) -> anyhow::Result<ExitCode> {
+    if matches!(command, Command::Learner(_) | Command::Bench(_)) {
+        // Without them training is slower, but no less right.
+        let _ = tuning::ensure();
+    }
     let filter = match &command {
         Command::Train(_) => "warn",
         _ => "info",
@@ -69,6 +78,7 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         Command::Eval(args) => eval::run(&args),
         Command::Imagine(args) => imagine::run(&args),
         Command::Report(args) => report::run(&args),
+        Command::Bench(command) => bench::run(&command),
     };
     finish(result.map(|()| ExitCode::SUCCESS), runtime)
 }

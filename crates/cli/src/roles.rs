@@ -87,7 +87,7 @@ pub(crate) enum DeviceArg {
 }
 
 impl DeviceArg {
-    fn resolve(self) -> anyhow::Result<tch::Device> {
+    pub(crate) fn resolve(self) -> anyhow::Result<tch::Device> {
         match self {
             Self::Auto => Ok(tch::Device::cuda_if_available()),
             Self::Cpu => Ok(tch::Device::Cpu),

@@ -38,10 +38,6 @@ impl Critic {
 pub struct Imagined {
     /// `e_t` with the graph to earlier actions: `[H, N, feat]`.
     pub feats: Tensor,
-    /// `[s, h]` cut from the graph: `[H, N, feat]`.
-    pub controllable: Tensor,
-    /// What attention read, `[H, N, tau, feat]`; absent where the policy does not look ahead.
-    pub memory: Option<Tensor>,
     /// Reward means at each state: `[H, N]`.
     pub rewards: Tensor,
     /// `gamma` times the probability of going on: `d_t` scales what follows `x_t`, `[H, N]`.
@@ -65,16 +61,12 @@ pub fn imagine(
     let horizon = config.imagination_horizon;
     let mut state = starts;
     let mut feats = Vec::new();
-    let mut controllable = Vec::new();
-    let mut memory = Vec::new();
     let mut states = Vec::new();
     let mut actions = Vec::new();
     let mut entropies = Vec::new();
     for t in 0..horizon {
         let lookahead = policy.look_ahead(&state);
         let feat = policy.feat(&state, &lookahead);
-        controllable.push(state.controllable.feat().detach());
-        memory.extend(lookahead.memory);
         let next = (t + 1 < horizon).then(|| {
             let distribution = policy.actor.forward(&feat.detach());
             entropies.push(distribution.entropy());
@@ -105,8 +97,6 @@ pub fn imagine(
     };
     Imagined {
         feats: Tensor::stack(&feats, 0),
-        controllable: Tensor::stack(&controllable, 0),
-        memory: (!memory.is_empty()).then(|| Tensor::stack(&memory, 0)),
         rewards,
         discounts,
         actions: Tensor::stack(&actions, 0),
@@ -172,20 +162,4 @@ pub fn starts(states: &State, config: &Config) -> State {
     let chosen =
         Tensor::randperm(rows, (Kind::Int64, flat.controllable.stoch.device())).narrow(0, 0, kept);
     flat.map(|x| x.index_select(0, &chosen))
-}
-
-/// Values of `e_t` recomputed from inputs cut from the graph, so that the loss reaches critic and attention
-/// and nothing else.
-pub fn trained_values(critic: &Critic, policy: &Policy<'_>, imagined: &Imagined) -> Tensor {
-    let steps = imagined.controllable.size()[0] - 1;
-    let batch = imagined.controllable.size()[1];
-    let controllable = imagined.controllable.narrow(0, 0, steps).flatten(0, 1);
-    let feat = match (policy.attention, &imagined.memory) {
-        (Some(attention), Some(memory)) => {
-            let memory = memory.narrow(0, 0, steps).flatten(0, 1);
-            attention.forward(&controllable, &memory).feat
-        }
-        _ => controllable,
-    };
-    critic.forward(&feat).view([steps, batch])
 }

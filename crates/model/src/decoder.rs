@@ -4,10 +4,11 @@ use isodream_core::config::ModelConfig;
 use tch::Tensor;
 
 use crate::encoder::{Tail, embed_dim};
-use crate::nn::{ConvTranspose, Linear};
+use crate::nn::{ConvTranspose, Linear, elu, from_phases};
 use crate::params::Scope;
 
-/// A linear layer and four transposed convolutions: features to a 64x64 picture.
+/// A linear layer and four transposed convolutions: features to a 64x64 picture in four phases, the form in
+/// which the last layer is fastest; everything after it works pixel by pixel and does not care.
 #[derive(Debug)]
 pub struct ImageDecoder {
     input: Linear,
@@ -32,45 +33,68 @@ impl ImageDecoder {
     }
 
     /// # Shapes
-    /// `[N, inputs] -> [N, channels, 64, 64]`
+    /// `[N, inputs] -> [N, channels, 4, 32, 32]`
     pub fn forward(&self, feat: &Tensor) -> Tensor {
         let x = self.t0.forward_vector(&self.input.forward(feat)).elu();
-        let x = self.t1.forward(&x).elu();
-        let x = self.t2.forward(&x).elu();
-        self.t3.forward(&x)
+        let x = elu(self.t1.forward(&x));
+        let x = elu(self.t2.forward(&x));
+        self.t3.forward_phases(&x)
     }
 }
 
 /// One dynamic branch's picture.
 #[derive(Debug)]
 pub struct Component {
-    /// `[N, 3, 64, 64]` in `[-0.5, 0.5]`.
+    /// In `[-0.5, 0.5]`: 3 channels.
     pub rgb: Tensor,
-    /// `M^s` or `M^z`: `[N, 1, 64, 64]` in `(0, 1)`.
+    /// `M^s` or `M^z`, in `(0, 1)`: 1 channel.
     pub mask: Tensor,
 }
 
 impl Component {
     /// Splits a decoder's four channels into picture and mask.
+    ///
+    /// # Shapes
+    /// `[N, 4, ..]`
     pub fn from_channels(channels: &Tensor) -> Self {
         Self {
             rgb: channels.narrow(1, 0, 3).clamp(-0.5, 0.5),
             mask: channels.narrow(1, 3, 1).sigmoid(),
         }
     }
+
+    fn map(&self, f: impl Fn(&Tensor) -> Tensor) -> Self {
+        Self {
+            rgb: f(&self.rgb),
+            mask: f(&self.mask),
+        }
+    }
 }
 
-/// A reconstruction and what it is made of.
+/// A reconstruction and what it is made of, in phases (`[B, T, C, 4, 32, 32]`) or as pictures.
 #[derive(Debug)]
 pub struct Composition {
-    /// `o_hat`: `[N, 3, 64, 64]`.
+    /// `o_hat`: 3 channels.
     pub image: Tensor,
     /// The controllable branch's part.
     pub controllable: Component,
     /// The noncontrollable branch's part.
     pub noncontrollable: Component,
-    /// The static branch's picture, `[N, 3, 64, 64]`.
+    /// The static branch's picture: 3 channels, one for all of time (`[B, 1, ..]`).
     pub background: Tensor,
+}
+
+impl Composition {
+    /// Phases put together: `[B T, C, 64, 64]`.
+    pub fn pictures(&self) -> Self {
+        let picture = |phases: &Tensor| from_phases(phases).flatten(0, 1);
+        Self {
+            image: picture(&self.image),
+            controllable: self.controllable.map(picture),
+            noncontrollable: self.noncontrollable.map(picture),
+            background: picture(&self.background.expand_as(&self.image)),
+        }
+    }
 }
 
 /// `o_hat = M^s o^s + M^z o^z + (1 - M^s - M^z) o^b` (Eq. 5). The masks are independent sigmoids, so that
@@ -116,7 +140,7 @@ impl Background {
     }
 
     /// # Shapes
-    /// `stem: [B, T, 2 depth, 14, 14]` with `T >= K` `-> [B, 3, 64, 64]`
+    /// `stem: [B, T, 2 depth, 14, 14]` with `T >= K` `-> [B, 3, 4, 32, 32]`
     pub fn forward(&self, stem: &Tensor) -> Tensor {
         let first = stem.narrow(1, 0, self.frames);
         let embed = self.tail.forward(&first.flatten(0, 1), None);
@@ -154,7 +178,7 @@ impl Decoder {
     /// Pictures of both dynamic branches over one background per sequence.
     ///
     /// # Shapes
-    /// features `[B, T, stoch + deter]`, `background: [B, 3, 64, 64]`; the result has `N = B T`.
+    /// features `[B, T, stoch + deter]`, `background: [B, 3, 4, 32, 32]`
     pub fn forward(
         &self,
         controllable: &Tensor,
@@ -162,14 +186,14 @@ impl Decoder {
         background: &Tensor,
     ) -> Composition {
         let (batch, length) = (controllable.size()[0], controllable.size()[1]);
-        let background = background
-            .unsqueeze(1)
-            .expand([batch, length, 3, 64, 64], false)
-            .reshape([batch * length, 3, 64, 64]);
+        let component = |decoder: &ImageDecoder, feat: &Tensor| {
+            Component::from_channels(&decoder.forward(&feat.flatten(0, 1)))
+                .map(|x| x.unflatten(0, [batch, length]))
+        };
         compose(
-            Component::from_channels(&self.controllable.forward(&controllable.flatten(0, 1))),
-            Component::from_channels(&self.noncontrollable.forward(&noncontrollable.flatten(0, 1))),
-            background,
+            component(&self.controllable, controllable),
+            component(&self.noncontrollable, noncontrollable),
+            background.unsqueeze(1),
         )
     }
 }

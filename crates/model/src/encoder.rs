@@ -3,7 +3,7 @@
 use isodream_core::config::ModelConfig;
 use tch::Tensor;
 
-use crate::nn::Conv;
+use crate::nn::{Conv, elu};
 use crate::params::Scope;
 
 /// Width of a branch's embedding for a first layer of `cnn_depth` channels.
@@ -31,7 +31,7 @@ impl Stem {
     /// # Shapes
     /// `[N, 3, 64, 64] -> [N, 2 depth, 14, 14]`
     pub fn forward(&self, image: &Tensor) -> Tensor {
-        self.conv1.forward(&self.conv0.forward(image).elu()).elu()
+        elu(self.conv1.forward(&elu(self.conv0.forward(image))))
     }
 }
 
@@ -59,7 +59,7 @@ impl Tail {
             Some(action) => self.conv2.forward_with_planes(stem, action),
             None => self.conv2.forward(stem),
         };
-        self.conv3.forward(&x.elu()).elu().flatten(1, -1)
+        elu(self.conv3.forward(&elu(x))).flatten(1, -1)
     }
 }
 

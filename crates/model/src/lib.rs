@@ -17,10 +17,12 @@
 pub mod agent;
 pub mod attention;
 pub mod behavior;
+pub mod cost;
 pub mod decoder;
 pub mod distribution;
 pub mod encoder;
 pub mod gate;
+pub mod laps;
 pub mod losses;
 pub mod nn;
 pub mod open_loop;

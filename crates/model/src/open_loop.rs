@@ -7,7 +7,7 @@ use crate::decoder::Composition;
 use crate::rssm::{State, stack};
 use crate::world_model::WorldModel;
 
-/// A predicted sequence; the composition's pictures are `[B T, ..]` in the order of the batch.
+/// A predicted sequence; the composition's pictures are `[B T, C, 64, 64]` in the order of the batch.
 #[derive(Debug)]
 pub struct OpenLoop {
     /// Reconstructions of the context, then predictions, with the parts of each branch.
@@ -43,7 +43,7 @@ pub fn open_loop(world: &WorldModel, batch: &Batch, context: i64) -> OpenLoop {
         &world.decoder.background.forward(&encoded.stem),
     );
     OpenLoop {
-        composition,
+        composition: composition.pictures(),
         rewards: world.reward(&states),
     }
 }

@@ -35,11 +35,12 @@ impl Adam {
         }
     }
 
-    /// Descends the gradient of `loss` with respect to `params` and returns the gradient's global norm
-    /// before clipping.
-    pub fn minimize(&mut self, loss: &Tensor, params: &Params) -> Tensor {
+    /// Descends the gradient of `loss` with respect to `params`, and to nothing else the loss may depend on.
+    /// Returns the gradient's global norm before clipping. The graph is freed unless it is to be kept for
+    /// another loss.
+    pub fn minimize(&mut self, loss: &Tensor, params: &Params, keep_graph: bool) -> Tensor {
         let inputs = params.tensors();
-        let grads = Tensor::run_backward(&[loss], &inputs, false, false);
+        let grads = Tensor::run_backward(&[loss], &inputs, keep_graph, false);
         let _guard = tch::no_grad_guard();
         let flat: Vec<Tensor> = grads
             .iter()

@@ -7,8 +7,9 @@ use tch::{Kind, Tensor};
 use crate::agent::Batch;
 use crate::decoder::{Composition, Decoder};
 use crate::encoder::{Embeddings, Encoder, embed_dim};
+use crate::laps::Laps;
 use crate::losses::{balanced_kl, gaussian_nll, max_action_loss, min_free_loss, sample_variance};
-use crate::nn::Mlp;
+use crate::nn::{Mlp, to_phases};
 use crate::params::Scope;
 use crate::rssm::{Branch, Observed, Rssm, State};
 
@@ -178,12 +179,14 @@ impl WorldModel {
     }
 
     /// `L_all = L_base + L_var` (Eq. 6, 10), the gate's sparsity penalty included.
-    pub fn loss(&self, batch: &Batch) -> WorldModelLoss {
+    pub fn loss(&self, batch: &Batch, laps: &mut Laps) -> WorldModelLoss {
         let encoded = self.encode(&batch.images, &batch.actions);
+        laps.lap("encode and observe");
         let observed = &encoded.observed;
         let composition = self.reconstruct(&encoded);
+        laps.lap("decode");
 
-        let image = gaussian_nll(&composition.image, &batch.images.flatten(0, 1), 3);
+        let image = gaussian_nll(&composition.image, &to_phases(&batch.images), 4);
         let reward_mean = self.reward(&observed.states);
         let reward = gaussian_nll(&reward_mean, &batch.rewards, 0);
         let action = self.inverse_loss(batch, &encoded);
@@ -243,6 +246,7 @@ impl WorldModel {
             terms.push(("train/loss/discount", discount));
         }
         terms.push(("train/loss/model", total.shallow_clone()));
+        laps.lap("losses");
         WorldModelLoss {
             total,
             terms,
@@ -328,4 +332,57 @@ fn posterior_then_prior(posterior: &Tensor, prior: impl FnOnce() -> Tensor, step
     }
     let rest = prior().narrow(1, steps, length - steps);
     Tensor::cat(&[posterior.narrow(1, 0, steps), rest], 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use isodream_core::config::Source;
+    use tch::Device;
+
+    use super::*;
+    use crate::params::Params;
+
+    const FLOAT: (Kind, Device) = (Kind::Float, Device::Cpu);
+
+    /// Steps along axis 1 where `x: [B, T, ..]` is not zero.
+    fn nonzero_steps(x: &Tensor) -> Vec<i64> {
+        (0..x.size()[1])
+            .filter(|&t| x.select(1, t).abs().sum(Kind::Float).double_value(&[]) > 0.0)
+            .collect()
+    }
+
+    #[test]
+    fn posterior_samples_come_first() {
+        let posterior = Tensor::zeros([2, 5, 3], FLOAT);
+        let joined = posterior_then_prior(&posterior, || Tensor::ones([2, 5, 3], FLOAT), 2);
+        assert_eq!(joined.size(), [2, 5, 3]);
+        assert_eq!(nonzero_steps(&joined), [2, 3, 4]);
+    }
+
+    #[test]
+    fn inverse_dynamics_predicts_the_action_between_two_states() {
+        let config = Config::load(&Source {
+            preset: Some("debug".into()),
+            ..Source::default()
+        })
+        .expect("a valid preset");
+        let mut params = Params::new(Device::Cpu);
+        let world = WorldModel::new(params.root("world_model"), &config, 2);
+        let mut batch = Batch {
+            images: Tensor::rand([2, 6, 3, 64, 64], FLOAT) - 0.5,
+            actions: Tensor::rand([2, 6, 2], FLOAT),
+            rewards: Tensor::zeros([2, 6], FLOAT),
+            discounts: Tensor::ones([2, 6], FLOAT),
+        };
+        let encoded = world.encode(&batch.images, &batch.actions);
+        batch.actions = batch.actions.set_requires_grad(true);
+        let loss = world.inverse_loss(&batch, &encoded);
+        let by_action = Tensor::run_backward(&[loss], &[&batch.actions], true, true);
+        // The first action led to the first state, and nothing is known before that.
+        assert_eq!(nonzero_steps(&by_action[0]), [1, 2, 3, 4, 5]);
+        let third = by_action[0].select(1, 3).sum(Kind::Float);
+        let stoch = &encoded.observed.states.controllable.stoch;
+        let seen = Tensor::run_backward(&[third], &[stoch], false, false);
+        assert_eq!(nonzero_steps(&seen[0]), [2, 3]);
+    }
 }

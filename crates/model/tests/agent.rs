@@ -192,7 +192,7 @@ fn every_option_trains_and_the_losses_fall() {
         let batch = batch(&config);
         let mut agent = Agent::new(&config, &spec(), Device::Cpu);
         let first = agent.update(&batch);
-        for _ in 0..40 {
+        for _ in 0..15 {
             agent.update(&batch);
         }
         let last = agent.update(&batch);

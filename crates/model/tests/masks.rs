@@ -18,7 +18,7 @@ fn mean_masks(bias: f64) -> [f64; 2] {
         [1, 2, config.model.stoch + config.model.deter],
         (Kind::Float, Device::Cpu),
     );
-    let background = Tensor::zeros([1, 3, 64, 64], (Kind::Float, Device::Cpu));
+    let background = Tensor::zeros([1, 3, 4, 32, 32], (Kind::Float, Device::Cpu));
     let composition = decoder.forward(&feat, &feat, &background);
     [composition.controllable, composition.noncontrollable]
         .map(|part| part.mask.mean(Kind::Float).double_value(&[]))

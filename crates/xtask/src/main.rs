@@ -1,9 +1,10 @@
-//! What one types in this repository: `cargo xtask setup | ci | test | demo`.
+//! What one types in this repository: `cargo xtask setup | ci | test | demo | bench`.
 //!
 //! Needs neither libtorch nor network to build, because it is what fetches libtorch.
 
 mod ci;
 mod deps;
+mod peer;
 mod run;
 mod setup;
 mod stage;
@@ -43,6 +44,15 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         args: Vec<String>,
     },
+    /// Measure this project beside others.
+    #[command(subcommand)]
+    Bench(Bench),
+}
+
+#[derive(Debug, Subcommand)]
+enum Bench {
+    /// A training step beside the same step in plain PyTorch, which is installed for it.
+    Peer(peer::PeerArgs),
 }
 
 fn main() -> ExitCode {
@@ -65,5 +75,6 @@ fn run_command(command: Command) -> Result<()> {
         Command::Ci => ci::ci(&root),
         Command::Test { args } => run::test(&root, &args),
         Command::Demo { args } => run::demo(&root, &args),
+        Command::Bench(Bench::Peer(args)) => peer::peer(&root, &args),
     }
 }

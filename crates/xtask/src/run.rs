@@ -39,15 +39,20 @@ pub(crate) fn test(root: &Path, args: &[String]) -> Result<()> {
     Ok(())
 }
 
-/// Builds the release binary and becomes it, so that signals reach the run and not us.
-pub(crate) fn demo(root: &Path, args: &[String]) -> Result<()> {
+/// Builds the release binary and says where it is.
+pub(crate) fn release_binary(root: &Path) -> Result<PathBuf> {
     stage("build", || {
         run(&mut cargo(
             root,
             ["build", "--release", "--locked", "-p", "isodream"],
         ))
     })?;
-    let binary = target_dir(root)?.join("release/isodream");
+    Ok(target_dir(root)?.join("release/isodream"))
+}
+
+/// Builds the release binary and becomes it, so that signals reach the run and not us.
+pub(crate) fn demo(root: &Path, args: &[String]) -> Result<()> {
+    let binary = release_binary(root)?;
     let mut command = Command::new(&binary);
     command
         .current_dir(root)
