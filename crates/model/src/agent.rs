@@ -11,6 +11,7 @@ use crate::laps::Laps;
 use crate::optimizer::Adam;
 use crate::params::{LoadError, Params, tensor_of, to_safetensors};
 use crate::policy::{ActingModel, Actor, Policy, looks_ahead};
+use crate::precision::product_kind;
 use crate::rssm::State;
 use crate::world_model::WorldModel;
 
@@ -99,18 +100,20 @@ impl Agent {
         let action_dim = spec.action_dim as i64;
         let model = &config.model;
 
-        let mut world_params = Params::new(device);
+        let products = product_kind(config.learner.precision, device);
+        let group = || Params::multiplied_in(products, device);
+        let mut world_params = group();
         let world = WorldModel::new(world_params.root("world_model"), config, action_dim);
         world_params.flatten();
-        let mut actor_params = Params::new(device);
+        let mut actor_params = group();
         let actor = Actor::new(actor_params.root("actor"), model, action_dim);
         actor_params.flatten();
-        let mut critic_params = Params::new(device);
+        let mut critic_params = group();
         let critic = Critic::new(critic_params.root("critic"), model);
         let attention = looks_ahead(config)
             .then(|| FutureAttention::new(critic_params.root("attention"), model));
         critic_params.flatten();
-        let mut slow_params = Params::new(device);
+        let mut slow_params = group();
         let slow_critic = Critic::new(slow_params.root("slow_critic"), model);
         slow_params.flatten();
 

@@ -1,7 +1,7 @@
 //! Image decoders of the three branches and their composition (Iso-Dream++ Eq. 5).
 
 use isodream_core::config::ModelConfig;
-use tch::Tensor;
+use tch::{Kind, Tensor};
 
 use crate::encoder::{Tail, embed_dim};
 use crate::nn::{ConvTranspose, Linear, elu, from_phases};
@@ -38,7 +38,7 @@ impl ImageDecoder {
         let x = self.t0.forward_vector(&self.input.forward(feat)).elu();
         let x = elu(self.t1.forward(&x));
         let x = elu(self.t2.forward(&x));
-        self.t3.forward_phases(&x)
+        self.t3.forward_phases(&x).to_kind(Kind::Float)
     }
 }
 

@@ -1,7 +1,7 @@
 //! The shared encoder stem and the tails of the three branches (`Enc_theta`, `Enc_phi1..3`).
 
 use isodream_core::config::ModelConfig;
-use tch::Tensor;
+use tch::{Kind, Tensor};
 
 use crate::nn::{Conv, elu};
 use crate::params::Scope;
@@ -59,7 +59,9 @@ impl Tail {
             Some(action) => self.conv2.forward_with_planes(stem, action),
             None => self.conv2.forward(stem),
         };
-        elu(self.conv3.forward(&elu(x))).flatten(1, -1)
+        elu(self.conv3.forward(&elu(x)))
+            .flatten(1, -1)
+            .to_kind(Kind::Float)
     }
 }
 

@@ -29,6 +29,7 @@ pub mod open_loop;
 pub mod optimizer;
 pub mod params;
 pub mod policy;
+pub mod precision;
 pub mod rssm;
 pub mod world_model;
 

@@ -1,9 +1,18 @@
 //! Layers, with PyTorch's default initialisation as in the authors' code:
 //! weight and bias from U(-1/sqrt(fan_in), 1/sqrt(fan_in)).
+//!
+//! Parameters are `f32`. Where a group of parameters multiplies in bf16 ([`Params::multiplied_in`]),
+//! convolutions work on and return bf16, and linear layers over at least [`MANY_ROWS`] rows multiply in bf16 and
+//! return `f32`.
+//!
+//! [`Params::multiplied_in`]: crate::Params::multiplied_in
 
-use tch::Tensor;
+use tch::{Kind, Tensor};
 
 use crate::params::Scope;
+
+/// With fewer rows, converting a weight costs more than multiplying by it.
+const MANY_ROWS: i64 = 128;
 
 /// `y = x W^T + b`.
 #[derive(Debug)]
@@ -12,6 +21,7 @@ pub struct Linear {
     pub weight: Tensor,
     /// `[out]`.
     pub bias: Tensor,
+    products: Kind,
 }
 
 impl Linear {
@@ -21,13 +31,29 @@ impl Linear {
         Self {
             weight: scope.uniform("weight", &[outputs, inputs], bound),
             bias: scope.uniform("bias", &[outputs], bound),
+            products: scope.products(),
         }
     }
 
     /// # Shapes
     /// `[.., in] -> [.., out]`
     pub fn forward(&self, x: &Tensor) -> Tensor {
-        x.linear(&self.weight, Some(&self.bias))
+        self.forward_in(self.kind_for(x), x).to_kind(Kind::Float)
+    }
+
+    /// In which numbers to multiply `x`.
+    fn kind_for(&self, x: &Tensor) -> Kind {
+        let rows = x.numel() as i64 / self.weight.size()[1];
+        if rows < MANY_ROWS {
+            Kind::Float
+        } else {
+            self.products
+        }
+    }
+
+    fn forward_in(&self, kind: Kind, x: &Tensor) -> Tensor {
+        x.to_kind(kind)
+            .linear(&self.weight.to_kind(kind), Some(&self.bias.to_kind(kind)))
     }
 }
 
@@ -67,10 +93,12 @@ impl Mlp {
             .layers
             .split_last()
             .expect("an MLP has an output layer");
-        let x = hidden
-            .iter()
-            .fold(x.shallow_clone(), |x, layer| elu(layer.forward(&x)));
-        last.forward(&x)
+        let kind = last.kind_for(x);
+        let x = hidden.iter().fold(
+            x.shallow_clone(),
+            |x, layer| elu(layer.forward_in(kind, &x)),
+        );
+        last.forward_in(kind, &x).to_kind(Kind::Float)
     }
 }
 
@@ -88,6 +116,7 @@ pub struct Conv {
     pub weight: Tensor,
     /// `[out]`.
     pub bias: Tensor,
+    products: Kind,
 }
 
 impl Conv {
@@ -103,13 +132,26 @@ impl Conv {
                 bound,
             ),
             bias: scope.uniform("bias", &[outputs], bound),
+            products: scope.products(),
         }
     }
 
     /// # Shapes
     /// `[N, in, H, W] -> [N, out, (H - 4) / 2 + 1, (W - 4) / 2 + 1]`
     pub fn forward(&self, x: &Tensor) -> Tensor {
-        x.conv2d(&self.weight, Some(&self.bias), [2, 2], [0, 0], [1, 1], 1)
+        self.convolve(x, &self.weight)
+    }
+
+    fn convolve(&self, x: &Tensor, weight: &Tensor) -> Tensor {
+        let kind = self.products;
+        x.to_kind(kind).conv2d(
+            &weight.to_kind(kind),
+            Some(&self.bias.to_kind(kind)),
+            [2, 2],
+            [0, 0],
+            [1, 1],
+            1,
+        )
     }
 
     /// The convolution of `x` with `planes` constant channels appended, without building them: without
@@ -120,21 +162,20 @@ impl Conv {
     pub fn forward_with_planes(&self, x: &Tensor, planes: &Tensor) -> Tensor {
         let channels = x.size()[1];
         let extra = self.weight.size()[1] - channels;
-        let from_image = x.conv2d(
-            &self.weight.narrow(1, 0, channels),
-            Some(&self.bias),
-            [2, 2],
-            [0, 0],
-            [1, 1],
-            1,
-        );
+        let mut y = self.convolve(x, &self.weight.narrow(1, 0, channels));
         let kernel_sums = self.weight.narrow(1, channels, extra).sum_dim_intlist(
             [2_i64, 3].as_slice(),
             false,
             None,
         );
         let from_planes = planes.linear::<&Tensor>(&kernel_sums, None);
-        from_image + from_planes.unsqueeze(-1).unsqueeze(-1)
+        let _ = y.g_add_(
+            &from_planes
+                .unsqueeze(-1)
+                .unsqueeze(-1)
+                .to_kind(self.products),
+        );
+        y
     }
 }
 
@@ -146,6 +187,7 @@ pub struct ConvTranspose {
     /// `[out]`.
     pub bias: Tensor,
     kernel: i64,
+    products: Kind,
 }
 
 impl ConvTranspose {
@@ -156,16 +198,25 @@ impl ConvTranspose {
             weight: scope.uniform("weight", &[inputs, outputs, kernel, kernel], bound),
             bias: scope.uniform("bias", &[outputs], bound),
             kernel,
+            products: scope.products(),
         }
     }
 
     /// # Shapes
     /// `[N, in, H, W] -> [N, out, 2 (H - 1) + k, 2 (W - 1) + k]`
     pub fn forward(&self, x: &Tensor) -> Tensor {
+        let kind = self.products;
         // oneDNN adds the bias of a transposed convolution, and sums its gradient, without vectors.
-        let mut y =
-            x.conv_transpose2d::<&Tensor>(&self.weight, None, [2, 2], [0, 0], [0, 0], 1, [1, 1]);
-        let _ = y.g_add_(&self.bias.view([1, -1, 1, 1]));
+        let mut y = x.to_kind(kind).conv_transpose2d::<&Tensor>(
+            &self.weight.to_kind(kind),
+            None,
+            [2, 2],
+            [0, 0],
+            [0, 0],
+            1,
+            [1, 1],
+        );
+        let _ = y.g_add_(&self.bias.to_kind(kind).view([1, -1, 1, 1]));
         y
     }
 
@@ -177,16 +228,21 @@ impl ConvTranspose {
     /// `[N, in, H, W] -> [N, out, 4, H + k / 2 - 1, W + k / 2 - 1]`: the result's [`to_phases`]
     pub fn forward_phases(&self, x: &Tensor) -> Tensor {
         let (inputs, outputs) = (self.weight.size()[0], self.weight.size()[1]);
-        let taps = self.kernel / 2;
+        let (taps, kind) = (self.kernel / 2, self.products);
         let weight = self
             .weight
+            .to_kind(kind)
             .view([inputs, outputs, taps, 2, taps, 2])
             .flip([2, 4])
             .permute([1, 3, 5, 0, 2, 4])
             .reshape([4 * outputs, inputs, taps, taps]);
-        let bias = self.bias.repeat_interleave_self_int(4, 0, None);
+        let bias = self
+            .bias
+            .to_kind(kind)
+            .repeat_interleave_self_int(4, 0, None);
         let pad = taps - 1;
-        x.conv2d(&weight, Some(&bias), [1, 1], [pad, pad], [1, 1], 1)
+        x.to_kind(kind)
+            .conv2d(&weight, Some(&bias), [1, 1], [pad, pad], [1, 1], 1)
             .contiguous()
             .unflatten(1, [outputs, 4])
     }
@@ -197,11 +253,12 @@ impl ConvTranspose {
     /// # Shapes
     /// `[N, in] -> [N, out, k, k]`
     pub fn forward_vector(&self, x: &Tensor) -> Tensor {
-        let outputs = self.weight.size()[1];
+        let (outputs, kind) = (self.weight.size()[1], self.products);
         let y = x
-            .matmul(&self.weight.flatten(1, -1))
+            .to_kind(kind)
+            .matmul(&self.weight.to_kind(kind).flatten(1, -1))
             .view([-1, outputs, self.kernel, self.kernel])
-            + self.bias.view([1, outputs, 1, 1]);
+            + self.bias.to_kind(kind).view([1, outputs, 1, 1]);
         channels_last(&y)
     }
 }
@@ -278,7 +335,7 @@ impl GruCell {
 
 #[cfg(test)]
 mod tests {
-    use tch::{Device, Kind};
+    use tch::Device;
 
     use super::*;
     use crate::Params;

@@ -38,15 +38,22 @@ pub struct Params {
     entries: Vec<(String, Tensor)>,
     flat: Tensor,
     device: Device,
+    products: Kind,
 }
 
 impl Params {
     /// An empty group on `device`; networks add to it through [`Self::root`], then [`Self::flatten`] closes it.
     pub fn new(device: Device) -> Self {
+        Self::multiplied_in(Kind::Float, device)
+    }
+
+    /// [`Self::new`] for networks that multiply in `products`. The parameters are `f32` all the same.
+    pub fn multiplied_in(products: Kind, device: Device) -> Self {
         Self {
             entries: Vec::new(),
             flat: Tensor::zeros([0], (Kind::Float, device)),
             device,
+            products,
         }
     }
 
@@ -184,6 +191,11 @@ impl Scope<'_> {
             prefix: format!("{}.{}", self.prefix, name.as_ref()),
             params: self.params,
         }
+    }
+
+    /// The element type of this group's large products.
+    pub fn products(&self) -> Kind {
+        self.params.products
     }
 
     /// Adds a parameter drawn from U(-bound, bound).

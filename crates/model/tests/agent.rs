@@ -226,3 +226,39 @@ fn behaviour_learning_waits_for_its_warmup() {
         .collect();
     assert_eq!(has_actor_loss, [false, false, true]);
 }
+
+#[test]
+fn bf16_products_leave_losses_and_gradients_as_they_are() {
+    let _alone = alone();
+    let sizes = ["learner.batch_size=8", "learner.batch_length=16"];
+    let update = |precision: &str| {
+        let mut set = sizes.to_vec();
+        set.push(precision);
+        let config = small(&set);
+        let batch = batch(&config);
+        let metrics = Agent::new(&config, &spec(), Device::Cpu).update(&batch);
+        for (_, value) in &metrics {
+            assert_eq!(value.kind(), Kind::Float);
+        }
+        metrics
+    };
+    let (exact, rounded) = (
+        update("learner.precision=fp32"),
+        update("learner.precision=bf16"),
+    );
+    for (name, tolerance) in [
+        ("train/loss/model", 1e-3),
+        ("train/loss/reward", 1e-2),
+        ("train/loss/controllable_kl", 1e-2),
+        ("train/grad_norm/model", 2e-2),
+        ("train/grad_norm/actor", 1e-1),
+        ("train/grad_norm/critic", 5e-2),
+    ] {
+        let (a, b) = (read(&exact, name), read(&rounded, name));
+        assert!((a - b).abs() <= tolerance * a.abs(), "{name}: {a} {b}");
+    }
+    assert!(
+        read(&exact, "train/loss/model") != read(&rounded, "train/loss/model"),
+        "nothing was multiplied in bf16"
+    );
+}

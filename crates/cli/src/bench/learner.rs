@@ -5,6 +5,7 @@ use clap::Args;
 use isodream_core::Config;
 use isodream_model::cost::UpdateCost;
 use isodream_model::laps::{Lap, Laps};
+use isodream_model::precision::product_kind;
 use isodream_model::{Agent, Batch};
 use serde::Serialize;
 use tch::{Device, Kind, Tensor};
@@ -28,6 +29,9 @@ pub(crate) struct LearnerBenchArgs {
     /// Steps that are measured; the fastest counts
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
+    /// In which numbers to multiply: fp32, bf16 or auto; the configuration's by default
+    #[arg(long)]
+    dtype: Option<String>,
     /// Where to compute
     #[arg(long, value_enum, default_value_t = DeviceArg::Cpu)]
     device: DeviceArg,
@@ -63,7 +67,13 @@ struct Phase {
 
 /// Runs the command.
 pub(super) fn run(args: &LearnerBenchArgs) -> anyhow::Result<()> {
-    let mut config = args.config.load()?;
+    let mut settings = args.config.clone();
+    settings.set.extend(
+        args.dtype
+            .iter()
+            .map(|dtype| format!("learner.precision={dtype}")),
+    );
+    let mut config = settings.load()?;
     config.learner.batch_size = args.batch.unwrap_or(config.learner.batch_size);
     config.learner.batch_length = args.length.unwrap_or(config.learner.batch_length);
     config.behavior.warmup_updates = 0;
@@ -122,7 +132,10 @@ fn measure(config: &Config, steps: u32, device: Device) -> anyhow::Result<Learne
     let flops = UpdateCost::new(config, spec.action_dim).total();
     Ok(LearnerBench {
         device: format!("{device:?}"),
-        dtype: "fp32",
+        dtype: match product_kind(config.learner.precision, device) {
+            Kind::BFloat16 => "bf16",
+            _ => "fp32",
+        },
         threads: tch::get_num_threads(),
         batch: config.learner.batch_size,
         length: config.learner.batch_length,

@@ -11,7 +11,9 @@ mod training;
 pub use environment::{EnvConfig, RepeatReward};
 pub use load::{ConfigError, PRESETS, Source};
 pub use model::{InverseInput, LossConfig, ModelConfig, VarianceLoss};
-pub use training::{ActorConfig, BehaviorConfig, LearnerConfig, OptimizerConfig, ReplayConfig};
+pub use training::{
+    ActorConfig, BehaviorConfig, LearnerConfig, OptimizerConfig, Precision, ReplayConfig,
+};
 
 use serde::{Deserialize, Serialize};
 

@@ -98,6 +98,18 @@ impl Default for ReplayConfig {
     }
 }
 
+/// In which numbers the learner multiplies. Weights, optimisers, recurrent states and losses are `f32` always.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Precision {
+    /// `f32`.
+    Fp32,
+    /// `bf16` in convolutions and in products over many rows, accumulated in `f32`.
+    Bf16,
+    /// `bf16` where the processor has instructions for it, else `f32`.
+    Auto,
+}
+
 /// The training loop.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -128,6 +140,8 @@ pub struct LearnerConfig {
     pub prefetch_batches: usize,
     /// Threads of one tensor operation; 0 leaves the choice to libtorch.
     pub threads: i32,
+    /// In which numbers matrices are multiplied.
+    pub precision: Precision,
 }
 
 impl Default for LearnerConfig {
@@ -146,6 +160,7 @@ impl Default for LearnerConfig {
             decode_threads: 2,
             prefetch_batches: 3,
             threads: 0,
+            precision: Precision::Fp32,
         }
     }
 }
