@@ -18,10 +18,23 @@ pub(crate) struct ReportArgs {
     /// Metric to draw
     #[arg(long, default_value = "eval/score")]
     metric: String,
+    /// Newest points that each drawn value is the mean of; single episodes scatter widely
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
+    smooth: u16,
     /// Levels to draw beside the curves, for example keep_lane=107.8; may be repeated
     #[arg(long, value_name = "NAME=VALUE")]
     level: Vec<String>,
 }
+
+/// Curves, in their order.
+const COLORS: [RGBColor; 6] = [
+    RGBColor(31, 119, 180),
+    RGBColor(214, 99, 0),
+    RGBColor(34, 139, 60),
+    RGBColor(180, 40, 60),
+    RGBColor(120, 80, 170),
+    RGBColor(90, 90, 90),
+];
 
 /// One run's values over environment frames; values at the same frames are averaged.
 struct Curve {
@@ -34,14 +47,18 @@ pub(crate) fn run(args: &ReportArgs) -> anyhow::Result<()> {
     let curves: Vec<Curve> = args
         .runs
         .iter()
-        .map(|run| Curve::read(run, &args.metric))
-        .collect::<Result<_, _>>()?;
+        .map(|run| Ok(Curve::read(run, &args.metric)?.smoothed(usize::from(args.smooth))))
+        .collect::<anyhow::Result<_>>()?;
     let levels: Vec<(String, f64)> = args
         .level
         .iter()
         .map(|text| level(text))
         .collect::<Result<_, _>>()?;
-    draw(&args.out, &args.metric, &curves, &levels)
+    let label = match args.smooth {
+        1 => args.metric.clone(),
+        window => format!("{}, mean of {window}", args.metric),
+    };
+    draw(&args.out, &label, &curves, &levels)
         .with_context(|| format!("cannot draw {}", args.out.display()))
 }
 
@@ -92,14 +109,26 @@ impl Curve {
                 .collect(),
         })
     }
+
+    /// Every value replaced by the mean of the newest `window` up to it.
+    fn smoothed(self, window: usize) -> Self {
+        let points = &self.points;
+        let mean = |index: usize| {
+            let newest = &points[(index + 1).saturating_sub(window)..=index];
+            newest.iter().map(|point| point.1).sum::<f64>() / newest.len() as f64
+        };
+        let points = points
+            .iter()
+            .enumerate()
+            .map(|(i, &(frames, _))| (frames, mean(i)));
+        Self {
+            points: points.collect(),
+            name: self.name,
+        }
+    }
 }
 
-fn draw(
-    out: &Path,
-    metric: &str,
-    curves: &[Curve],
-    levels: &[(String, f64)],
-) -> anyhow::Result<()> {
+fn draw(out: &Path, label: &str, curves: &[Curve], levels: &[(String, f64)]) -> anyhow::Result<()> {
     let all = || curves.iter().flat_map(|curve| &curve.points);
     let most = all().map(|p| p.0).fold(1.0, f64::max);
     let values = || {
@@ -126,11 +155,11 @@ fn draw(
         .configure_mesh()
         .light_line_style(WHITE)
         .x_desc("environment frames")
-        .y_desc(metric)
+        .y_desc(label)
         .draw()
         .map_err(|e| failed(&e))?;
     for (index, curve) in curves.iter().enumerate() {
-        let color = Palette99::pick(index).to_rgba();
+        let color = COLORS[index % COLORS.len()].to_rgba();
         chart
             .draw_series(LineSeries::new(
                 curve.points.iter().copied(),
@@ -157,4 +186,19 @@ fn draw(
         .map_err(|e| failed(&e))?;
     root.present().map_err(|e| failed(&e))?;
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_smoothed_value_is_the_mean_of_the_newest_points() {
+        let curve = Curve {
+            name: "run".into(),
+            points: vec![(1.0, 2.0), (2.0, 4.0), (3.0, 9.0), (4.0, -4.0)],
+        };
+        let smoothed = curve.smoothed(3).points;
+        assert_eq!(smoothed, [(1.0, 2.0), (2.0, 3.0), (3.0, 5.0), (4.0, 3.0)]);
+    }
 }

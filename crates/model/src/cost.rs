@@ -132,15 +132,9 @@ impl Macs {
             // The first transition of the window is the imagined step's own.
             let alone =
                 (window - 1.0) * prior + (window - 2.0).max(0.0) * (transition + stoch * stoch);
-            let project = feat * dim;
-            let read = 2.0 * window * dim;
-            // Forward once; gradients pass query and output, and reach all four projections.
-            let attention = project * (2.0 + 2.0 * window)
-                + read
-                + 2.0 * project
-                + 2.0 * read
-                + project * (1.0 + 2.0 * window)
-                + 2.0 * project;
+            // Four projections per query, scores and their mean. Forward once; the actor's gradient passes all
+            // of it, the critic's reaches the weights and passes all but the first projection.
+            let attention = (4.0 + 4.0 + 7.0) * feat * dim + 3.0 * 2.0 * window * feat;
             imagined += alone + attention + 3.0 * value;
         } else {
             // The critic's input is cut from the graph.

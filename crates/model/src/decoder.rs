@@ -32,6 +32,14 @@ impl ImageDecoder {
         }
     }
 
+    fn parameters(&self) -> impl Iterator<Item = &Tensor> {
+        let up = [&self.t0, &self.t1, &self.t2, &self.t3];
+        [&self.input.weight, &self.input.bias].into_iter().chain(
+            up.into_iter()
+                .flat_map(|layer| [&layer.weight, &layer.bias]),
+        )
+    }
+
     /// # Shapes
     /// `[N, inputs] -> [N, channels, 4, 32, 32]`
     pub fn forward(&self, feat: &Tensor) -> Tensor {
@@ -173,6 +181,15 @@ impl Decoder {
             }
         }
         decoder
+    }
+
+    /// What [`Self::forward`] learns.
+    pub fn parameters(&self) -> Vec<&Tensor> {
+        let branches = [&self.controllable, &self.noncontrollable];
+        branches
+            .into_iter()
+            .flat_map(ImageDecoder::parameters)
+            .collect()
     }
 
     /// Pictures of both dynamic branches over one background per sequence.

@@ -17,6 +17,7 @@
 pub mod agent;
 pub mod attention;
 pub mod behavior;
+pub mod chunked;
 pub mod cost;
 pub mod decoder;
 pub mod distribution;

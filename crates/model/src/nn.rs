@@ -41,9 +41,20 @@ impl Linear {
         self.forward_in(self.kind_for(x), x).to_kind(Kind::Float)
     }
 
-    /// In which numbers to multiply `x`.
+    /// `y W`, the layer's weight from the other side.
+    ///
+    /// # Shapes
+    /// `[.., out] -> [.., in]`
+    pub fn transposed(&self, y: &Tensor) -> Tensor {
+        let kind = self.kind_for(y);
+        y.to_kind(kind)
+            .matmul(&self.weight.to_kind(kind))
+            .to_kind(Kind::Float)
+    }
+
+    /// In which numbers to multiply the rows of `x`.
     fn kind_for(&self, x: &Tensor) -> Kind {
-        let rows = x.numel() as i64 / self.weight.size()[1];
+        let rows = x.size()[..x.dim() - 1].iter().product::<i64>();
         if rows < MANY_ROWS {
             Kind::Float
         } else {

@@ -5,13 +5,17 @@ use isodream_core::config::{InverseInput, LossConfig, ModelConfig, VarianceLoss}
 use tch::{Kind, Tensor};
 
 use crate::agent::Batch;
-use crate::decoder::{Composition, Decoder};
+use crate::chunked::sum_of_parts;
+use crate::decoder::Decoder;
 use crate::encoder::{Embeddings, Encoder, embed_dim};
 use crate::laps::Laps;
 use crate::losses::{balanced_kl, gaussian_nll, max_action_loss, min_free_loss, sample_variance};
 use crate::nn::{Mlp, to_phases};
 use crate::params::Scope;
 use crate::rssm::{Branch, Observed, Rssm, State};
+
+/// Frames that are decoded at a time: more need more memory and are no faster.
+const DECODED_FRAMES: i64 = 128;
 
 /// Every network that representation learning trains.
 #[derive(Debug)]
@@ -152,9 +156,9 @@ impl WorldModel {
         }
     }
 
-    /// Reconstructs a sequence; per branch, the first posterior steps from posterior samples and the rest
-    /// from prior samples, as in the authors' code.
-    pub fn reconstruct(&self, encoded: &Encoded) -> Composition {
+    /// What the decoders see: features of both branches, `[B, T, stoch + deter]`. The first posterior steps are
+    /// posterior samples and the rest prior samples, as in the authors' code.
+    fn decoder_feats(&self, encoded: &Encoded) -> (Tensor, Tensor) {
         let observed = &encoded.observed;
         let feat = |stoch: Tensor, deter: &Tensor| Tensor::cat(&[stoch, deter.shallow_clone()], -1);
         let (s, z) = (
@@ -171,11 +175,31 @@ impl WorldModel {
             || observed.noncontrollable_prior.sample(),
             self.posterior_steps.1,
         );
-        self.decoder.forward(
-            &feat(s_stoch, &s.deter),
-            &feat(z_stoch, &z.deter),
-            &self.decoder.background.forward(&encoded.stem),
-        )
+        (feat(s_stoch, &s.deter), feat(z_stoch, &z.deter))
+    }
+
+    /// `-ln p(o_t | ..)` of the reconstructed sequences (Eq. 6), with the mean masks of both dynamic branches.
+    fn image_loss(&self, batch: &Batch, encoded: &Encoded) -> (Tensor, [Tensor; 2]) {
+        let (s, z) = self.decoder_feats(encoded);
+        let background = self.decoder.background.forward(&encoded.stem);
+        let target = to_phases(&batch.images);
+        let (sequences, length) = (target.size()[0], target.size()[1]);
+        let mut masks = [(); 2].map(|()| Tensor::zeros([], (Kind::Float, target.device())));
+        let loss = sum_of_parts(
+            &[&s, &z, &background, &target],
+            &self.decoder.parameters(),
+            (DECODED_FRAMES / length).max(1),
+            |part| {
+                let share = part[0].size()[0] as f64 / sequences as f64;
+                let composition = self.decoder.forward(&part[0], &part[1], &part[2]);
+                let parts = [&composition.controllable, &composition.noncontrollable];
+                for (sum, component) in masks.iter_mut().zip(parts) {
+                    *sum += component.mask.detach().mean(Kind::Float) * share;
+                }
+                gaussian_nll(&composition.image, &part[3], 4) * share
+            },
+        );
+        (loss, masks)
     }
 
     /// `L_all = L_base + L_var` (Eq. 6, 10), the gate's sparsity penalty included.
@@ -183,10 +207,9 @@ impl WorldModel {
         let encoded = self.encode(&batch.images, &batch.actions);
         laps.lap("encode and observe");
         let observed = &encoded.observed;
-        let composition = self.reconstruct(&encoded);
-        laps.lap("decode");
+        let (image, masks) = self.image_loss(batch, &encoded);
+        laps.lap("decode, with its backward");
 
-        let image = gaussian_nll(&composition.image, &to_phases(&batch.images), 4);
         let reward_mean = self.reward(&observed.states);
         let reward = gaussian_nll(&reward_mean, &batch.rewards, 0);
         let action = self.inverse_loss(batch, &encoded);
@@ -209,6 +232,7 @@ impl WorldModel {
             + &max_action * weights.max_action_scale
             + &min_free * weights.min_free_scale;
         let reward_error = (reward_mean - &batch.rewards).abs().mean(Kind::Float);
+        let [controllable_mask, noncontrollable_mask] = masks;
         let mut terms = vec![
             ("train/loss/image", image),
             ("train/loss/reward", reward),
@@ -218,14 +242,8 @@ impl WorldModel {
             ("train/loss/max_action", max_action),
             ("train/loss/min_free", min_free),
             ("train/reward_error", reward_error),
-            (
-                "train/mask/controllable",
-                composition.controllable.mask.mean(Kind::Float),
-            ),
-            (
-                "train/mask/noncontrollable",
-                composition.noncontrollable.mask.mean(Kind::Float),
-            ),
+            ("train/mask/controllable", controllable_mask),
+            ("train/mask/noncontrollable", noncontrollable_mask),
         ];
         if let Some(open) = &observed.gate_open {
             let gate = open.mean(Kind::Float);
