@@ -60,7 +60,6 @@ impl Running {
     pub fn start(args: &[&str]) -> Result<Self> {
         let child = Command::new(binary()?)
             .args(args)
-            .env("OMP_WAIT_POLICY", "PASSIVE")
             .stdin(Stdio::null())
             .spawn()?;
         Ok(Self { child })

@@ -58,10 +58,10 @@ pub fn sum_of_parts(
     // A linear function with these gradients, moved to the loss's value.
     let mut linear = Tensor::zeros_like(&value);
     for index in learned {
-        linear = linear + inputs[index].dot_with(&Tensor::cat(&input_gradients[index], 0));
+        linear += inputs[index].dot_with(&Tensor::cat(&input_gradients[index], 0));
     }
     for (parameter, gradient) in parameters.iter().zip(&parameter_gradients) {
-        linear = linear + parameter.dot_with(gradient);
+        linear += parameter.dot_with(gradient);
     }
     let shift = (value - &linear).detach();
     linear + shift
