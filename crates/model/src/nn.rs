@@ -2,7 +2,7 @@
 //! weight and bias from U(-1/sqrt(fan_in), 1/sqrt(fan_in)).
 //!
 //! Parameters are `f32`. Where a group of parameters multiplies in bf16 ([`Params::multiplied_in`]),
-//! convolutions work on and return bf16, and linear layers over at least [`MANY_ROWS`] rows multiply in bf16 and
+//! convolutions work on and return bf16, and linear layers over at least 128 rows multiply in bf16 and
 //! return `f32`.
 //!
 //! [`Params::multiplied_in`]: crate::Params::multiplied_in
