@@ -2,7 +2,7 @@
 
 The same networks, losses and sizes as the paper's driving setup, written the way one writes PyTorch first: nothing
 is hoisted out of a scan, nothing is fused, every branch runs by itself, the decoders go frame by frame. This is also
-the shape of the work in the published code.
+most of the shape of the work in the published code.
 
     python bench/peer.py --batch 16 --length 32 --steps 3 --threads 2
 
@@ -195,7 +195,7 @@ class Behavior(nn.Module):
             return torch.stack(memory, 1)
 
     def losses(self, world, state, lap):
-        states, features, entropies, inputs = [], [], [], []
+        states, features, entropies = [], [], []
         for _ in range(HORIZON):
             memory = self.look_ahead(world, state)
             controllable = torch.cat(state[:2], -1)
@@ -203,7 +203,6 @@ class Behavior(nn.Module):
             policy = self.policy(feature.detach())
             states.append(torch.cat(state, -1))
             features.append(feature)
-            inputs.append((controllable.detach(), memory))
             entropies.append(policy.entropy().sum(-1))
             (h, k), _ = world.step(state, policy.rsample(), False)
             state = [draw(world.s.stats(world.s.prior(h))), h, draw(world.z.stats(world.z.prior(k))), k]
@@ -217,15 +216,15 @@ class Behavior(nn.Module):
         targets = torch.stack(targets)
         weights = DISCOUNT ** torch.arange(HORIZON - 1.0)[:, None]
         actor = -(weights * (targets + ENTROPY * torch.stack(entropies[:-1]))).mean()
-        seen = torch.stack([self.attend(*pair) for pair in inputs[:-1]])
-        predicted = torch.distributions.Normal(self.critic["value"](seen).squeeze(-1), 1.0)
+        predicted = torch.distributions.Normal(self.critic["value"](torch.stack(features[:-1])).squeeze(-1), 1.0)
         lap("values")
         return actor, -(weights * predicted.log_prob(targets.detach())).mean()
 
 
-def descend(optimizer, loss):
+def descend(optimizer, loss, keep_graph=False):
     parameters = [p for group in optimizer.param_groups for p in group["params"]]
-    for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters, allow_unused=True)):
+    gradients = torch.autograd.grad(loss, parameters, retain_graph=keep_graph, allow_unused=True)
+    for parameter, gradient in zip(parameters, gradients):
         parameter.grad = gradient
     nn.utils.clip_grad_norm_(parameters, 100.0)
     optimizer.step()
@@ -244,7 +243,7 @@ def main():
     world, behavior = World(), Behavior()
     adam = lambda module, lr: torch.optim.Adam(module.parameters(), lr, eps=1e-5)
     optimizers = adam(world, 3e-4), adam(behavior.actor, 8e-5), adam(behavior.critic, 8e-5)
-    image = torch.randint(256, (args.batch, args.length, 3, 64, 64), dtype=torch.uint8)
+    image = torch.rand(args.batch, args.length, 3, 64, 64) - 0.5
     action = torch.rand(args.batch, args.length, ACTIONS) * 2 - 1
     best = None
     for step in range(args.steps + 1):
@@ -255,11 +254,11 @@ def main():
             phases[name] = [b - a for a, b in zip(last, now)]
             last[:] = now
 
-        total, states = world.loss(image / 255 - 0.5, action, action[:, :, 0], lap)
+        total, states = world.loss(image, action, action[:, :, 0], lap)
         descend(optimizers[0], total)
         lap("world model backward")
         actor, critic = behavior.losses(world, states, lap)
-        descend(optimizers[1], actor)
+        descend(optimizers[1], actor, keep_graph=True)
         lap("actor backward")
         descend(optimizers[2], critic)
         lap("critic backward")

@@ -9,12 +9,13 @@ use std::process::Command;
 ///
 /// - Threads that wait do not spin: several processes share the cores.
 /// - Freed memory is kept, in huge pages where the kernel has them, instead of being returned after every tensor:
-///   the kernel's clearing of fresh pages was a fifth of a training step.
+///   the kernel's clearing of fresh pages was a fifth of a training step. One arena for all threads, because glibc
+///   keeps nothing large in the others, and training is not on the main thread.
 const SETTINGS: [(&str, &str); 2] = [
     ("OMP_WAIT_POLICY", "PASSIVE"),
     (
         "GLIBC_TUNABLES",
-        "glibc.malloc.mmap_max=0:glibc.malloc.trim_threshold=1099511627776:glibc.malloc.hugetlb=1",
+        "glibc.malloc.mmap_max=0:glibc.malloc.trim_threshold=1099511627776:glibc.malloc.hugetlb=1:glibc.malloc.arena_max=1",
     ),
 ];
 

@@ -7,7 +7,7 @@ use tch::{Kind, Tensor};
 /// `parameters`.
 ///
 /// `loss` receives the same rows of every input. Gradients go to the inputs that require them, and to `parameters`,
-/// which is everything else that `loss` learns.
+/// which is everything else that `loss` learns. Only first derivatives are right, and gradients must be on.
 ///
 /// # Shapes
 /// every input `[N, ..]` `-> []`
@@ -49,7 +49,8 @@ pub fn sum_of_parts(
         } else {
             let _guard = tch::no_grad_guard();
             for (sum, gradient) in parameter_gradients.iter_mut().zip(gradients) {
-                let _ = sum.g_add_(&gradient);
+                // Not in place: autograd may hand out one tensor twice, or a view without memory of its own.
+                *sum = &*sum + &gradient;
             }
         }
         value += part_loss.detach();

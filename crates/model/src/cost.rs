@@ -5,6 +5,7 @@
 //! three times its forward pass, one that passes gradients on without learning twice, one without gradients once.
 
 use isodream_core::Config;
+use isodream_core::config::{InverseInput, VarianceLoss};
 
 use crate::encoder::embed_dim;
 use crate::policy::looks_ahead;
@@ -34,11 +35,12 @@ impl UpdateCost {
             + macs.observe
             + macs.heads;
         let starts = (frames * config.behavior.start_share).ceil().max(1.0);
-        let states = starts * config.behavior.imagination_horizon as f64;
+        let horizon = config.behavior.imagination_horizon as f64;
+        let imagined = horizon * macs.imagined_state + (horizon - 1.0) * macs.imagined_step;
         Self {
             // The first convolution's input is the image, which needs no gradient.
             world_model: frames * 2.0 * (2.0 * macs.first_conv + 3.0 * per_frame),
-            behavior: states * 2.0 * macs.imagined,
+            behavior: starts * 2.0 * imagined,
         }
     }
 
@@ -48,8 +50,8 @@ impl UpdateCost {
     }
 }
 
-/// Multiply-accumulates of forward passes: per frame for the world model; per imagined state for behaviour
-/// learning, there with the factors of its gradients.
+/// Multiply-accumulates of forward passes: per frame for the world model; for behaviour learning, there with the
+/// factors of its gradients, per imagined state and per step between two of them.
 struct Macs {
     first_conv: f64,
     encoder_rest: f64,
@@ -58,7 +60,8 @@ struct Macs {
     background_decoder: f64,
     observe: f64,
     heads: f64,
-    imagined: f64,
+    imagined_state: f64,
+    imagined_step: f64,
 }
 
 impl Macs {
@@ -101,13 +104,19 @@ impl Macs {
         let head_feat = if model.indicator { 2.0 * feat } else { feat };
         let reward = mlp(head_feat, model.reward_layers, 1.0);
         let inverse_feat = match model.inverse {
-            isodream_core::config::InverseInput::Posterior => 2.0 * stoch,
-            isodream_core::config::InverseInput::EmbedDiff => embed,
+            InverseInput::Posterior => 2.0 * stoch,
+            InverseInput::EmbedDiff => embed,
         };
         let discount = if model.discount_head {
             mlp(head_feat, model.discount_layers, 1.0)
         } else {
             0.0
+        };
+
+        // The paper's form of the variance constraints compares samples, the authors' recurrent states.
+        let hypothetical = match config.loss.variance {
+            VarianceLoss::Paper => 3.0,
+            VarianceLoss::Deter => 0.0,
         };
 
         // Imagination: dynamics, reward and slow critic pass gradients to the actor without learning.
@@ -116,29 +125,31 @@ impl Macs {
         } else {
             0.0
         };
-        let passing = transition + prior + noncontrollable + reward + discount;
         let value = mlp(feat, model.critic_layers, 1.0);
-        let slow_value = if config.behavior.value_gradient {
+        // Both passes where the value's gradient reaches the actor, else the forward pass alone.
+        let valued = if config.behavior.value_gradient {
             2.0
         } else {
             1.0
-        } * value;
-        let actor_first = feat * units;
-        let actor = 3.0 * mlp(feat, model.actor_layers, 2.0 * action) - actor_first;
-        let mut imagined = 2.0 * passing + slow_value + actor;
+        };
+        let mut imagined_state = 2.0 * (reward + discount) + valued * value;
+        // Actor and critic learn; the gradient of neither goes on from their first layers, unless the critic's
+        // reaches the attention.
+        let first = feat * units;
+        let mut imagined_step = 2.0 * (transition + prior + noncontrollable)
+            + 3.0 * (mlp(feat, model.actor_layers, 2.0 * action) + value)
+            - 2.0 * first;
         if looks_ahead(config) {
             let window = float(config.behavior.rollout_window);
             let dim = float(model.attention_dim);
             // The first transition of the window is the imagined step's own.
             let alone =
                 (window - 1.0) * prior + (window - 2.0).max(0.0) * (transition + stoch * stoch);
-            // Four projections per query, scores and their mean. Forward once; the actor's gradient passes all
-            // of it, the critic's reaches the weights and passes all but the first projection.
-            let attention = (4.0 + 4.0 + 7.0) * feat * dim + 3.0 * 2.0 * window * feat;
-            imagined += alone + attention + 3.0 * value;
-        } else {
-            // The critic's input is cut from the graph.
-            imagined += 3.0 * value - feat * units;
+            // Four projections per query, scores and their mean. The critic's gradient reaches the weights and
+            // passes all but the first projection.
+            let (project, read) = (4.0 * feat * dim, 2.0 * window * feat);
+            imagined_state += alone + valued * (project + read);
+            imagined_step += 2.0 * project - feat * dim + read + first;
         }
         Self {
             first_conv: conv(31.0, 3.0, depth),
@@ -147,17 +158,16 @@ impl Macs {
             decoder: decoder(feat, 4.0),
             background_decoder: decoder(float(model.background_frames) * embed, 3.0),
             // The real transitions of both branches, one hypothetical of the one and two of the other.
-            observe: 5.0 * transition + 2.0 * (prior + posterior) + gate,
+            observe: 5.0 * transition + (2.0 + hypothetical) * prior + 2.0 * posterior + gate,
             heads: reward + discount + mlp(inverse_feat, model.inverse_layers, action),
-            imagined,
+            imagined_state,
+            imagined_step,
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use isodream_core::config::InverseInput;
-
     use super::*;
 
     #[test]
@@ -176,9 +186,18 @@ mod tests {
         config.learner.batch_size *= 2;
         let twice = UpdateCost::new(&config, 2);
         assert!((twice.total() / once.total() - 2.0).abs() < 1e-9);
-        config.behavior.imagination_horizon *= 2;
-        let longer = UpdateCost::new(&config, 2);
-        assert_eq!(longer.world_model, twice.world_model);
-        assert!((longer.behavior / twice.behavior - 2.0).abs() < 1e-9);
+        let steps: Vec<UpdateCost> = [15, 16, 17]
+            .into_iter()
+            .map(|horizon| {
+                config.behavior.imagination_horizon = horizon;
+                UpdateCost::new(&config, 2)
+            })
+            .collect();
+        assert_eq!(steps[2].world_model, twice.world_model);
+        let (first, second) = (
+            steps[1].behavior - steps[0].behavior,
+            steps[2].behavior - steps[1].behavior,
+        );
+        assert!(first > 0.0 && (first / second - 1.0).abs() < 1e-9);
     }
 }

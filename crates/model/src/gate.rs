@@ -33,10 +33,9 @@ impl DependencyGate {
     /// # Shapes
     /// `[N, deter]` twice `-> [N, 1]`
     pub fn open(&self, noncontrollable_deter: &Tensor, controllable_deter: &Tensor) -> Tensor {
-        let logit = self.gate.forward(&Tensor::cat(
-            &[noncontrollable_deter, controllable_deter],
-            -1,
-        ));
+        let deters = Tensor::cat(&[noncontrollable_deter, controllable_deter], -1);
+        // In full precision: a threshold follows.
+        let logit = self.gate.forward_in(Kind::Float, &deters);
         let soft = logit.sigmoid();
         let hard = soft.ge(0.5).to_kind(Kind::Float);
         (hard - &soft).detach() + soft

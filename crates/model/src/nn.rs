@@ -3,7 +3,7 @@
 //!
 //! Parameters are `f32`. Where a group of parameters multiplies in bf16 ([`Params::multiplied_in`]),
 //! convolutions work on and return bf16, and linear layers over at least 128 rows multiply in bf16 and
-//! return `f32`.
+//! return `f32`; the last layer of an MLP, the gate and the posterior's projections stay `f32`.
 //!
 //! [`Params::multiplied_in`]: crate::Params::multiplied_in
 
@@ -62,7 +62,8 @@ impl Linear {
         }
     }
 
-    fn forward_in(&self, kind: Kind, x: &Tensor) -> Tensor {
+    /// [`Self::forward`] in the numbers `kind`, which the result has too.
+    pub fn forward_in(&self, kind: Kind, x: &Tensor) -> Tensor {
         x.to_kind(kind)
             .linear(&self.weight.to_kind(kind), Some(&self.bias.to_kind(kind)))
     }
@@ -109,12 +110,13 @@ impl Mlp {
             x.shallow_clone(),
             |x, layer| elu(layer.forward_in(kind, &x)),
         );
-        last.forward_in(kind, &x).to_kind(Kind::Float)
+        // Few columns, and values that bf16 would round to quarters.
+        last.forward_in(Kind::Float, &x)
     }
 }
 
-/// ELU of a layer's output, in its place: the gradient needs the result alone, and a batch of feature maps is
-/// tens of megabytes that need not be written twice.
+/// ELU of a layer's output, in its place: the gradient needs the result alone, and the feature maps of a batch are
+/// tens of megabytes that need not exist twice.
 pub fn elu(mut x: Tensor) -> Tensor {
     let _ = x.elu_();
     x
@@ -351,22 +353,36 @@ mod tests {
     use super::*;
     use crate::Params;
 
+    /// Equal values, and equal gradients in a random direction.
+    fn assert_alike(y: &Tensor, expected: &Tensor, learned: &[&Tensor]) {
+        assert!(y.allclose(expected, 1e-4, 1e-5, false), "{y} {expected}");
+        let direction = expected.randn_like();
+        let gradients = |y: &Tensor| {
+            Tensor::run_backward(&[(y * &direction).sum(Kind::Float)], learned, true, false)
+        };
+        for (index, (a, b)) in gradients(y).iter().zip(gradients(expected)).enumerate() {
+            assert!(
+                a.allclose(&b, 1e-4, 1e-4, false),
+                "gradient {index}: {a} {b}"
+            );
+        }
+    }
+
     #[test]
     fn planes_equal_appended_channels() {
         tch::manual_seed(3);
         let mut params = Params::new(Device::Cpu);
         let conv = Conv::new(params.root("conv"), 7, 5);
-        let x = Tensor::randn([3, 5, 14, 14], (Kind::Float, Device::Cpu));
-        let planes = Tensor::randn([3, 2], (Kind::Float, Device::Cpu));
+        let leaf =
+            |size: &[i64]| Tensor::randn(size, (Kind::Float, Device::Cpu)).set_requires_grad(true);
+        let (x, planes) = (leaf(&[3, 5, 14, 14]), leaf(&[3, 2]));
         let appended = Tensor::cat(
             &[&x, &planes.view([3, 2, 1, 1]).expand([3, 2, 14, 14], false)],
             1,
         );
         let expected = conv.forward(&appended);
-        assert!(
-            conv.forward_with_planes(&x, &planes)
-                .allclose(&expected, 1e-4, 1e-5, false)
-        );
+        let y = conv.forward_with_planes(&x, &planes);
+        assert_alike(&y, &expected, &[&x, &planes, &conv.weight, &conv.bias]);
     }
 
     #[test]
@@ -379,17 +395,8 @@ mod tests {
         let plain = layer.forward(&x);
         let phases = from_phases(&layer.forward_phases(&x));
         assert_eq!(plain.size(), [2, 3, 18, 22]);
-        assert!(phases.allclose(&plain, 1e-4, 1e-5, false));
         assert!(from_phases(&to_phases(&plain)).equal(&plain));
-
-        let direction = Tensor::randn([2, 3, 18, 22], options);
-        let gradients = |y: &Tensor| {
-            let loss = (y * &direction).sum(Kind::Float);
-            Tensor::run_backward(&[loss], &[&x, &layer.weight, &layer.bias], false, false)
-        };
-        for (a, b) in gradients(&phases).iter().zip(gradients(&plain)) {
-            assert!(a.allclose(&b, 1e-4, 1e-5, false));
-        }
+        assert_alike(&phases, &plain, &[&x, &layer.weight, &layer.bias]);
     }
 
     #[test]
@@ -397,12 +404,22 @@ mod tests {
         tch::manual_seed(4);
         let mut params = Params::new(Device::Cpu);
         let layer = ConvTranspose::new(params.root("t0"), 6, 3, 5);
-        let x = Tensor::randn([4, 6], (Kind::Float, Device::Cpu));
-        let expected = layer.forward(&x.view([4, 6, 1, 1]));
-        assert!(
-            layer
-                .forward_vector(&x)
-                .allclose(&expected, 1e-4, 1e-5, false)
+        let x = Tensor::randn([4, 6], (Kind::Float, Device::Cpu)).set_requires_grad(true);
+        let picture = x.view([4, 6, 1, 1]);
+        let expected = layer.forward(&picture);
+        let learned = [&x, &layer.weight, &layer.bias];
+        assert_alike(&layer.forward_vector(&x), &expected, &learned);
+        // The bias that is added by hand is the library's.
+        let (stride, none) = ([2, 2], [0, 0]);
+        let biased = picture.conv_transpose2d(
+            &layer.weight,
+            Some(&layer.bias),
+            stride,
+            none,
+            none,
+            1,
+            [1, 1],
         );
+        assert_alike(&expected, &biased, &learned);
     }
 }

@@ -1,7 +1,7 @@
 //! Named parameters, kept in one flat vector per group.
 //!
 //! A group (world model, actor, critic) is one contiguous vector; every parameter is a view into it. The
-//! optimiser then works on a few long vectors instead of many small tensors, and a checkpoint is the list of
+//! moments are as long and in the same order, a copy of a group is one operation, and a checkpoint is the list of
 //! views with their names.
 
 use std::collections::HashMap;

@@ -228,7 +228,7 @@ fn behaviour_learning_waits_for_its_warmup() {
 }
 
 #[test]
-fn bf16_products_leave_losses_and_gradients_as_they_are() {
+fn bf16_products_move_losses_and_gradient_norms_little() {
     let _alone = alone();
     let sizes = ["learner.batch_size=8", "learner.batch_length=16"];
     let update = |precision: &str| {

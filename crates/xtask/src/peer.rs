@@ -22,7 +22,7 @@ pub(crate) struct PeerArgs {
     #[arg(long, default_value_t = 32)]
     length: u32,
     /// Steps that are measured; the fastest counts
-    #[arg(long, default_value_t = 3)]
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
 }
 
@@ -47,6 +47,8 @@ pub(crate) fn peer(root: &Path, args: &PeerArgs) -> Result<()> {
     with_libtorch(&mut ours, root);
     let mut theirs = Command::new(python);
     theirs.arg(root.join("bench/peer.py")).args(&options);
+    // Both with waiting threads that do not spin, which CPU seconds would count.
+    theirs.env("OMP_WAIT_POLICY", "PASSIVE");
     let ours = stage("isodream", || measured(&mut ours))?;
     let theirs = stage("plain PyTorch", || measured(&mut theirs))?;
 
@@ -78,7 +80,7 @@ fn python(root: &Path) -> Result<std::path::PathBuf> {
     let folder = root.join(".native/peer");
     let python = folder.join("bin/python");
     let done = folder.join("complete");
-    if !done.exists() {
+    if std::fs::read_to_string(&done).ok().as_deref() != Some(TORCH) {
         stage("install PyTorch (several GB, once)", || {
             run(Command::new("python3")
                 .args(["-m", "venv", "--clear"])

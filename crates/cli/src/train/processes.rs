@@ -91,6 +91,8 @@ impl Process {
         let program = std::env::current_exe().context("this program has no path")?;
         let child = Command::new(program)
             .args(&self.args)
+            // Spinning threads of several processes on few cores slow each other down tenfold.
+            .env("OMP_WAIT_POLICY", "PASSIVE")
             // The role stops when this end of the pipe closes, also if the supervisor is killed.
             .stdin(Stdio::piped())
             .stdout(Stdio::null())

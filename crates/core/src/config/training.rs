@@ -106,7 +106,7 @@ pub enum Precision {
     Fp32,
     /// `bf16` in convolutions and in products over many rows, accumulated in `f32`.
     Bf16,
-    /// `bf16` where the processor has instructions for it, else `f32`.
+    /// `bf16` on CPUs that have instructions for it and on GPUs, else `f32`.
     Auto,
 }
 
