@@ -1,7 +1,7 @@
 //! Published weights acting on a vector of environments.
 
 use isodream_core::{Config, EnvSpec, Step};
-use isodream_model::agent::preprocess;
+use isodream_model::batch::preprocess;
 use isodream_model::rssm::State;
 use isodream_model::{ActingModel, Actions, LoadError};
 use tch::{Device, Tensor};

@@ -13,6 +13,8 @@ use isodream_learner::checkpoint::Checkpoint;
 use isodream_model::Actions;
 use serde::Serialize;
 
+use crate::output::print_result;
+
 /// Options of `isodream eval`.
 #[derive(Debug, Args)]
 pub(crate) struct EvalArgs {
@@ -52,19 +54,7 @@ pub(crate) struct Evaluation {
 /// Runs the command.
 pub(crate) fn run(args: &EvalArgs) -> anyhow::Result<()> {
     let evaluation = evaluate(&args.checkpoint, args.episodes, &|| true)?;
-    let text = if args.json {
-        serde_json::to_string_pretty(&evaluation)?
-    } else {
-        evaluation.table()
-    };
-    print(&text);
-    Ok(())
-}
-
-/// What a command was asked to print.
-#[allow(clippy::print_stdout)] // the one place where results go to standard output
-pub(crate) fn print(text: &str) {
-    println!("{text}");
+    print_result(&evaluation, args.json, Evaluation::table)
 }
 
 /// Evaluates the newest checkpoint in `path`.

@@ -16,7 +16,7 @@ use isodream_telemetry::{Rgb, write_mp4};
 use serde::Serialize;
 use tch::{Device, Kind, Tensor};
 
-use crate::eval::print;
+use crate::output::print;
 
 /// Frames with observations before the prediction begins, as in the paper.
 const CONTEXT: i64 = 5;

@@ -7,6 +7,7 @@ mod bench;
 mod config_args;
 mod eval;
 mod imagine;
+mod output;
 mod report;
 mod roles;
 mod train;

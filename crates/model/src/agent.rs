@@ -1,9 +1,10 @@
 //! The learning agent: all networks, their optimisers, and one training step.
 
-use isodream_core::{Config, EnvSpec, Steps, derive_seed};
+use isodream_core::{Config, EnvSpec, derive_seed};
 use tch::{Device, Kind, Tensor};
 
 use crate::attention::FutureAttention;
+use crate::batch::Batch;
 use crate::behavior::{
     Critic, actor_loss, critic_loss, imagine, lambda_return, starts, step_weights,
 };
@@ -14,58 +15,6 @@ use crate::policy::{ActingModel, Actor, Policy, looks_ahead};
 use crate::precision::product_kind;
 use crate::rssm::State;
 use crate::world_model::WorldModel;
-
-/// A batch of sequences.
-#[derive(Debug)]
-pub struct Batch {
-    /// `[B, T, 3, 64, 64]` in `[-0.5, 0.5]`.
-    pub images: Tensor,
-    /// `[B, T, A]`: row t led to image t.
-    pub actions: Tensor,
-    /// `[B, T]`.
-    pub rewards: Tensor,
-    /// `[B, T]`: 0 where the episode really ended, else 1.
-    pub discounts: Tensor,
-}
-
-/// Pixels as the networks take them: `[N, H, W, 3]` bytes to `[N, 3, H, W]` floats in `[-0.5, 0.5]`, the
-/// channels adjacent in memory as they were.
-pub fn preprocess(pixels: &Tensor) -> Tensor {
-    (pixels.to_kind(Kind::Float) / 255.0 - 0.5).permute([0, 3, 1, 2])
-}
-
-impl Batch {
-    /// Makes a batch of equally long sequences of RGB images with `side` rows and columns.
-    ///
-    /// # Panics
-    /// If the sequences differ in length or sizes: a defect of the caller.
-    pub fn new(sequences: &[Steps], side: i64, device: Device) -> Self {
-        let batch = sequences.len() as i64;
-        let length = sequences[0].len as i64;
-        let column = |part: fn(&Steps) -> &Vec<f32>, width: i64| {
-            let values: Vec<f32> = sequences
-                .iter()
-                .flat_map(|s| part(s).iter().copied())
-                .collect();
-            Tensor::from_slice(&values)
-                .view([batch, length, width])
-                .to_device(device)
-        };
-        let pixels: Vec<u8> = sequences
-            .iter()
-            .flat_map(|s| s.images.iter().copied())
-            .collect();
-        let pixels = Tensor::from_slice(&pixels)
-            .view([batch * length, side, side, 3])
-            .to_device(device);
-        Self {
-            images: preprocess(&pixels).unflatten(0, [batch, length]),
-            actions: column(|s| &s.actions, sequences[0].action_dim as i64),
-            rewards: column(|s| &s.rewards, 1).squeeze_dim(-1),
-            discounts: column(|s| &s.discounts, 1).squeeze_dim(-1),
-        }
-    }
-}
 
 /// World model, actor, critic and attention with everything that training them needs.
 #[derive(Debug)]
@@ -450,6 +399,11 @@ mod tests {
             reach(&values, &groups.critic.0, "attention") > 0.0,
             "attention learns from the critic's loss"
         );
+        // Nor does that gradient take the way of earlier actions: it is the one of `e_t` from inputs cut from
+        // the graph.
+        let actions = imagined.actions.sum(Kind::Float);
+        assert!(reach(&actions, &groups.actor.0, "actor") > 0.0);
+        assert_eq!(reach(&actions, &groups.critic.0, "attention"), 0.0);
     }
 
     #[test]

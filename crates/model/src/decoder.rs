@@ -43,6 +43,7 @@ impl ImageDecoder {
     /// # Shapes
     /// `[N, inputs] -> [N, channels, 4, 32, 32]`
     pub fn forward(&self, feat: &Tensor) -> Tensor {
+        // Not in place: a permuted view, whose in-place form autograd copies.
         let x = self.t0.forward_vector(&self.input.forward(feat)).elu();
         let x = elu(self.t1.forward(&x));
         let x = elu(self.t2.forward(&x));

@@ -16,6 +16,7 @@
 
 pub mod agent;
 pub mod attention;
+pub mod batch;
 pub mod behavior;
 pub mod chunked;
 pub mod cost;
@@ -34,6 +35,7 @@ pub mod precision;
 pub mod rssm;
 pub mod world_model;
 
-pub use agent::{Agent, Batch};
+pub use agent::Agent;
+pub use batch::Batch;
 pub use params::{LoadError, Params};
 pub use policy::{ActingModel, Actions};

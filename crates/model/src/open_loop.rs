@@ -2,7 +2,7 @@
 
 use tch::Tensor;
 
-use crate::agent::Batch;
+use crate::batch::Batch;
 use crate::decoder::Composition;
 use crate::rssm::{State, stack};
 use crate::world_model::WorldModel;

@@ -4,7 +4,7 @@ use isodream_core::Config;
 use isodream_core::config::{InverseInput, LossConfig, ModelConfig, VarianceLoss};
 use tch::{Kind, Tensor};
 
-use crate::agent::Batch;
+use crate::batch::Batch;
 use crate::chunked::sum_of_parts;
 use crate::decoder::Decoder;
 use crate::encoder::{Embeddings, Encoder, embed_dim};

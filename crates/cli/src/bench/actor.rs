@@ -4,14 +4,14 @@ use std::time::Instant;
 
 use clap::Args;
 use isodream_core::{Config, EnvSpec};
-use isodream_model::agent::preprocess;
+use isodream_model::batch::preprocess;
 use isodream_model::laps::cpu_time;
 use isodream_model::{ActingModel, Actions};
 use serde::Serialize;
 use tch::{Device, Kind, Tensor};
 
 use crate::config_args::ConfigArgs;
-use crate::eval::print;
+use crate::output::print_result;
 
 /// Options of `isodream bench actor`.
 #[derive(Debug, Args)]
@@ -49,13 +49,7 @@ pub(super) fn run(args: &ActorBenchArgs) -> anyhow::Result<()> {
         .iter()
         .map(|&environments| measure(&config, &spec, environments, args.steps))
         .collect();
-    let text = if args.json {
-        serde_json::to_string_pretty(&results)?
-    } else {
-        table(&results)
-    };
-    print(&text);
-    Ok(())
+    print_result(&results, args.json, |results| table(results))
 }
 
 fn measure(config: &Config, spec: &EnvSpec, environments: u16, steps: u32) -> ActorBench {

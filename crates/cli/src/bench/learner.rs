@@ -12,7 +12,7 @@ use tch::{Device, Kind, Tensor};
 
 use super::machine;
 use crate::config_args::ConfigArgs;
-use crate::eval::print;
+use crate::output::print_result;
 use crate::roles::DeviceArg;
 
 /// Options of `isodream bench learner`.
@@ -88,13 +88,7 @@ pub(super) fn run(args: &LearnerBenchArgs) -> anyhow::Result<()> {
         tch::set_num_threads(config.learner.threads);
     }
     let result = measure(&config, args.steps, device)?;
-    let text = if args.json {
-        serde_json::to_string_pretty(&result)?
-    } else {
-        result.table()
-    };
-    print(&text);
-    Ok(())
+    print_result(&result, args.json, LearnerBench::table)
 }
 
 fn measure(config: &Config, steps: u32, device: Device) -> anyhow::Result<LearnerBench> {
@@ -162,7 +156,7 @@ fn random_batch(config: &Config, action_dim: i64, device: Device) -> Batch {
     let pixels = Tensor::randint(256, [batch * length, side, side, 3], (Kind::Uint8, device));
     let actions = Tensor::rand([batch, length, action_dim], float) * 2.0 - 1.0;
     Batch {
-        images: isodream_model::agent::preprocess(&pixels).unflatten(0, [batch, length]),
+        images: isodream_model::batch::preprocess(&pixels).unflatten(0, [batch, length]),
         rewards: actions.select(2, 0),
         discounts: Tensor::ones([batch, length], float),
         actions,

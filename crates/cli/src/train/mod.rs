@@ -15,7 +15,8 @@ use isodream_core::Config;
 use isodream_rpc::shutdown_on_signal;
 
 use crate::config_args::ConfigArgs;
-use crate::eval::{evaluate, print};
+use crate::eval::evaluate;
+use crate::output::print;
 use processes::{Process, Processes};
 use progress::Progress;
 

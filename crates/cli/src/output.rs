@@ -1,0 +1,27 @@
+//! What commands print.
+
+use serde::Serialize;
+
+/// The one place where results go to standard output; logs and progress go to standard error.
+#[allow(clippy::print_stdout)]
+pub(crate) fn print(text: &str) {
+    println!("{text}");
+}
+
+/// Prints a result for scripts or for people.
+///
+/// # Errors
+/// Where the result has no JSON form.
+pub(crate) fn print_result<T: Serialize>(
+    result: &T,
+    json: bool,
+    table: impl FnOnce(&T) -> String,
+) -> anyhow::Result<()> {
+    let text = if json {
+        serde_json::to_string_pretty(result)?
+    } else {
+        table(result)
+    };
+    print(&text);
+    Ok(())
+}
