@@ -1,8 +1,9 @@
 """One training step of Iso-Dream++ in plain PyTorch: what `isodream bench learner` is compared with.
 
 The same networks, losses and sizes as the paper's driving setup, written the way one writes PyTorch first: nothing
-is hoisted out of a scan, nothing is fused, every branch runs by itself, the decoders go frame by frame. This is also
-most of the shape of the work in the published code.
+is hoisted out of a scan, nothing is fused, every branch runs by itself, the decoders go frame by frame. With
+`--as-published` it also does the work of the published code that nobody uses: hypothetical transitions while imagining,
+a rollout step that no memory holds, and every policy worked out twice more, once for its loss and once for nothing.
 
     python bench/peer.py --batch 16 --length 32 --steps 3 --threads 2
 
@@ -165,8 +166,9 @@ class World(nn.Module):
 
 
 class Behavior(nn.Module):
-    def __init__(self):
+    def __init__(self, as_published):
         super().__init__()
+        self.as_published = as_published
         self.actor, self.slow_critic = mlp(FEAT, 4, 2 * ACTIONS), mlp(FEAT, 3, 1)
         self.critic = nn.ModuleDict({
             "value": mlp(FEAT, 3, 1),
@@ -192,6 +194,8 @@ class Behavior(nn.Module):
                 k = world.z.transition(z, none, k)
                 z = draw(world.z.stats(world.z.prior(k)))
                 memory.append(torch.cat([z, k], -1))
+            if self.as_published:
+                draw(world.z.stats(world.z.prior(world.z.transition(z, none, k))))
             return torch.stack(memory, 1)
 
     def losses(self, world, state, lap):
@@ -204,9 +208,12 @@ class Behavior(nn.Module):
             states.append(torch.cat(state, -1))
             features.append(feature)
             entropies.append(policy.entropy().sum(-1))
-            (h, k), _ = world.step(state, policy.rsample(), False)
+            (h, k, *_), _ = world.step(state, policy.rsample(), self.as_published)
             state = [draw(world.s.stats(world.s.prior(h))), h, draw(world.z.stats(world.z.prior(k))), k]
         lap("imagine")
+        if self.as_published:
+            unused, policies = ([self.policy(feature.detach()) for feature in features] for _ in range(2))
+            entropies = [policy.entropy().sum(-1) for policy in policies]
         reward = world.reward(torch.stack(states)).squeeze(-1)
         value = self.slow_critic(torch.stack(features)).squeeze(-1)
         target, targets = value[-1], []
@@ -236,11 +243,12 @@ def main():
     parser.add_argument("--length", type=int, default=32)
     parser.add_argument("--steps", type=int, default=3)
     parser.add_argument("--threads", type=int, default=0)
+    parser.add_argument("--as-published", action="store_true", help="with the published code's unused work")
     args = parser.parse_args()
     if args.threads:
         torch.set_num_threads(args.threads)
     torch.manual_seed(0)
-    world, behavior = World(), Behavior()
+    world, behavior = World(), Behavior(args.as_published)
     adam = lambda module, lr: torch.optim.Adam(module.parameters(), lr, eps=1e-5)
     optimizers = adam(world, 3e-4), adam(behavior.actor, 8e-5), adam(behavior.critic, 8e-5)
     image = torch.rand(args.batch, args.length, 3, 64, 64) - 0.5

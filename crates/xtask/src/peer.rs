@@ -24,6 +24,9 @@ pub(crate) struct PeerArgs {
     /// Steps that are measured; the fastest counts
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
+    /// Let the peer also do the work of the published code that nobody uses
+    #[arg(long)]
+    as_published: bool,
 }
 
 /// Measures both and prints them with their ratios.
@@ -47,6 +50,7 @@ pub(crate) fn peer(root: &Path, args: &PeerArgs) -> Result<()> {
     with_libtorch(&mut ours, root);
     let mut theirs = Command::new(python);
     theirs.arg(root.join("bench/peer.py")).args(&options);
+    theirs.args(args.as_published.then_some("--as-published"));
     // Both with waiting threads that do not spin, which CPU seconds would count.
     theirs.env("OMP_WAIT_POLICY", "PASSIVE");
     let ours = stage("isodream", || measured(&mut ours))?;
