@@ -10,6 +10,7 @@ use isodream_core::{Steps, derive_seed};
 use isodream_envs::class;
 use isodream_learner::checkpoint::Checkpoint;
 use isodream_model::agent::Agent;
+use isodream_model::batch::StagedSteps;
 use isodream_model::open_loop::{OpenLoop, open_loop};
 use isodream_model::{Actions, Batch};
 use isodream_telemetry::{Rgb, write_mp4};
@@ -99,7 +100,7 @@ pub(crate) fn run(args: &ImagineArgs) -> anyhow::Result<()> {
         args.episodes
     );
     let side = config.env.image_size as i64;
-    let batch = Batch::new(&sequences, side, Device::Cpu);
+    let batch = StagedSteps::new(&sequences, side, Device::Cpu).to_batch(Device::Cpu);
     let truth = Tensor::from_slice(&classes).view([-1, 1, side, side]);
     let reconstructed = open_loop(&agent.world, &batch, LENGTH as i64);
     let predicted = open_loop(&agent.world, &batch, CONTEXT);

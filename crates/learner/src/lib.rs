@@ -1,8 +1,8 @@
 //! The learner: it draws sequences from replay, trains the agent, publishes policies, and keeps checkpoints.
 //!
 //! ```text
-//! replay-server ──Sample──▶ sampler thread ──▶ decoder threads ──▶ training thread ──▶ checkpoints, metrics
-//!                                                                        │
+//! replay-server ──Sample──▶ sampler thread ──▶ decoder threads ──▶ training thread ──▶ metrics
+//!                                                                        │   └──▶ saver thread ──▶ checkpoints
 //!                                            actors ◀──WatchPolicy── service ◀──ReportEpisode── actors
 //! ```
 //!
@@ -15,6 +15,7 @@ pub mod checkpoint;
 mod progress;
 mod publisher;
 mod sampling;
+mod saver;
 mod service;
 mod train;
 

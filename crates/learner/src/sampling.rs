@@ -1,4 +1,4 @@
-//! The sample stream: sequences from replay, decoded beside training, in order.
+//! The sample stream: sequences from replay, decoded and laid out as tensors beside training, in order.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -6,13 +6,15 @@ use std::time::Duration;
 use anyhow::{Context, bail, ensure};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use isodream_core::{EnvSpec, Steps, codec};
+use isodream_model::batch::StagedSteps;
 use isodream_rpc::{SampleClient, SampledSequence};
+use tch::Device;
 
-/// A batch of decoded sequences.
+/// A batch that is ready for training.
 #[derive(Debug)]
-pub(crate) struct DecodedBatch {
-    /// Equally long sequences.
-    pub(crate) sequences: Vec<Steps>,
+pub(crate) struct StagedBatch {
+    /// Its sequences.
+    pub(crate) steps: StagedSteps,
     /// Steps drawn under the limiter up to and with this batch.
     pub(crate) sampled_steps: u64,
 }
@@ -22,12 +24,12 @@ struct Job {
     sequences: Vec<SampledSequence>,
 }
 
-type Decoded = (u64, anyhow::Result<DecodedBatch>);
+type Decoded = (u64, anyhow::Result<StagedBatch>);
 
 /// Batches in the order in which their sequences arrived, whichever thread decoded them.
 pub(crate) struct BatchStream {
     decoded: Receiver<Decoded>,
-    early: BTreeMap<u64, anyhow::Result<DecodedBatch>>,
+    early: BTreeMap<u64, anyhow::Result<StagedBatch>>,
     next: u64,
     waiting: Box<dyn Fn() -> Option<String> + Send + Sync>,
 }
@@ -38,6 +40,8 @@ pub(crate) struct BatchShape {
     pub(crate) batch_size: usize,
     pub(crate) batch_length: usize,
     pub(crate) spec: EnvSpec,
+    /// Where training will want it.
+    pub(crate) device: Device,
 }
 
 impl BatchStream {
@@ -84,7 +88,7 @@ impl BatchStream {
     ///
     /// # Errors
     /// Where replay refused this learner, or a whole batch could not be decoded.
-    pub(crate) fn next(&mut self, patience: Duration) -> anyhow::Result<Option<DecodedBatch>> {
+    pub(crate) fn next(&mut self, patience: Duration) -> anyhow::Result<Option<StagedBatch>> {
         loop {
             if let Some(batch) = self.early.remove(&self.next) {
                 self.next += 1;
@@ -124,7 +128,7 @@ fn draw(mut client: SampleClient, batch_size: usize, jobs: &Sender<Job>, failed:
     }
 }
 
-fn decode(sequences: &[SampledSequence], shape: &BatchShape) -> anyhow::Result<DecodedBatch> {
+fn decode(sequences: &[SampledSequence], shape: &BatchShape) -> anyhow::Result<StagedBatch> {
     let mut decoded = Vec::with_capacity(sequences.len());
     for sequence in sequences {
         match trim(sequence, shape) {
@@ -138,8 +142,9 @@ fn decode(sequences: &[SampledSequence], shape: &BatchShape) -> anyhow::Result<D
         "none of {} sampled sequences could be decoded",
         sequences.len()
     );
-    Ok(DecodedBatch {
-        sequences: decoded,
+    let side = shape.spec.image.height as i64;
+    Ok(StagedBatch {
+        steps: StagedSteps::new(&decoded, side, shape.device),
         sampled_steps: sequences
             .last()
             .map_or(0, |sequence| sequence.sampled_steps),
@@ -200,6 +205,7 @@ mod tests {
                 action_repeat: 1,
                 time_limit: 10,
             },
+            device: Device::Cpu,
         }
     }
 
@@ -255,7 +261,7 @@ mod tests {
         let mut damaged = sequence(0);
         damaged.chunks[1].payload = Bytes::from_static(b"rubbish");
         let batch = decode(&[sequence(1), damaged.clone()], &shape()).expect("one is valid");
-        assert_eq!(batch.sequences.len(), 1);
+        assert_eq!(batch.steps.to_batch(Device::Cpu).rewards.size(), [1, 5]);
         assert!(decode(&[damaged], &shape()).is_err());
     }
 }

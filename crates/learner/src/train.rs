@@ -7,8 +7,8 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, bail, ensure};
 use isodream_core::derive_seed;
+use isodream_model::Agent;
 use isodream_model::agent::Metric;
-use isodream_model::{Agent, Batch};
 use isodream_proto::v1::learner_service_server::LearnerServiceServer;
 use isodream_proto::{Identity, v1};
 use isodream_rpc::limits::MAX_MESSAGE_BYTES;
@@ -20,7 +20,8 @@ use crate::LearnerOptions;
 use crate::checkpoint::{Checkpoint, Counters};
 use crate::progress::Progress;
 use crate::publisher::Publisher;
-use crate::sampling::{BatchShape, BatchStream};
+use crate::sampling::{BatchShape, BatchStream, StagedBatch};
+use crate::saver::Saver;
 use crate::service::Service;
 
 /// How long the loop waits for data before it looks around (shutdown, reports, reasons).
@@ -116,6 +117,7 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
         batch_size: config.learner.batch_size,
         batch_length: config.learner.batch_length,
         spec: options.spec.clone(),
+        device: options.device,
     };
     let batches = BatchStream::start(
         client,
@@ -123,14 +125,19 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
         config.learner.decode_threads,
         config.learner.prefetch_batches,
     )?;
+    let saver = Saver::new(
+        options.run_dir.join("checkpoints"),
+        config.learner.keep_checkpoints,
+    );
     let training = Training {
         options,
         counters,
         batches,
         publisher,
         progress,
+        saver,
         waited: Duration::ZERO,
-        started: Instant::now(),
+        first_batch: None,
     };
     let stop = shutdown.clone();
     let finished = tokio::task::spawn_blocking(move || training.run(checkpoint, &stop))
@@ -197,7 +204,7 @@ async fn poll_replay(address: String, action_repeat: u32, progress: Arc<Progress
     }
 }
 
-/// The newest checkpoint of this process.
+/// The newest checkpoint that this process handed over to be written.
 struct Saved {
     updates: u64,
     at: Instant,
@@ -209,8 +216,10 @@ struct Training {
     batches: BatchStream,
     publisher: Publisher,
     progress: Arc<Progress>,
+    saver: Saver,
+    /// Time spent waiting for data since the first batch.
     waited: Duration,
-    started: Instant,
+    first_batch: Option<Instant>,
 }
 
 impl Training {
@@ -260,6 +269,7 @@ impl Training {
         if saved.updates != agent.updates() {
             self.save(&agent)?;
         }
+        self.saver.finish()?;
         trained?;
         self.write_reports(&mut metrics)?;
         metrics.flush()?;
@@ -287,6 +297,7 @@ impl Training {
         let config = self.options.config.clone();
         let learner = &config.learner;
         while agent.updates() < config.total_updates() && !shutdown.is_cancelled() {
+            self.saver.poll()?;
             let Some(batch) = self.next_batch(metrics)? else {
                 continue;
             };
@@ -299,8 +310,7 @@ impl Training {
                 }
                 .into();
             });
-            let side = config.env.image_size as i64;
-            *last = agent.update(&Batch::new(&batch.sequences, side, self.options.device));
+            *last = agent.update(&batch.steps.to_batch(self.options.device));
             self.counters = Counters {
                 updates: agent.updates(),
                 sampled_steps: batch.sampled_steps,
@@ -336,14 +346,15 @@ impl Training {
     }
 
     /// The next batch; none if there was none yet, so that the loop can look around.
-    fn next_batch(
-        &mut self,
-        metrics: &mut MetricsWriter,
-    ) -> anyhow::Result<Option<crate::sampling::DecodedBatch>> {
+    fn next_batch(&mut self, metrics: &mut MetricsWriter) -> anyhow::Result<Option<StagedBatch>> {
         self.write_reports(metrics)?;
         let begun = Instant::now();
         let batch = self.batches.next(PATIENCE)?;
-        self.waited += begun.elapsed();
+        match self.first_batch {
+            Some(_) => self.waited += begun.elapsed(),
+            // Until there is experience at all, nothing waits in vain.
+            None => self.first_batch = batch.is_some().then(Instant::now),
+        }
         if batch.is_none() {
             let why = self.batches.waiting().unwrap_or_else(|| "decoding".into());
             self.progress
@@ -353,7 +364,9 @@ impl Training {
     }
 
     fn wait_share(&self) -> f64 {
-        self.waited.as_secs_f64() / self.started.elapsed().as_secs_f64()
+        self.first_batch.map_or(0.0, |first| {
+            self.waited.as_secs_f64() / first.elapsed().as_secs_f64()
+        })
     }
 
     fn publish(&self, agent: &Agent) {
@@ -362,19 +375,15 @@ impl Training {
         self.progress.set(|status| status.policy = version);
     }
 
-    fn save(&self, agent: &Agent) -> anyhow::Result<()> {
-        let config = &self.options.config;
-        let checkpoint = Checkpoint {
+    /// Hands a copy of everything to the saver.
+    fn save(&mut self, agent: &Agent) -> anyhow::Result<()> {
+        self.saver.save(Checkpoint {
             counters: self.counters,
             env_spec: self.options.spec.to_string(),
-            config: config.clone(),
+            config: self.options.config.clone(),
             model: agent.save_model(),
             optimizer: agent.save_optimizer(),
-        };
-        let dir = self.options.run_dir.join("checkpoints");
-        let folder = checkpoint.save(&dir, config.learner.keep_checkpoints)?;
-        tracing::info!(folder = %folder.display(), "checkpoint");
-        Ok(())
+        })
     }
 
     fn log(
