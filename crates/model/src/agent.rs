@@ -8,13 +8,17 @@ use crate::batch::Batch;
 use crate::behavior::{
     Critic, actor_loss, critic_loss, imagine, lambda_return, starts, step_weights,
 };
-use crate::laps::Laps;
+use crate::chunked::add_gradients;
+use crate::laps::{Laps, phase};
 use crate::optimizer::Adam;
 use crate::params::{LoadError, Params, tensor_of, to_safetensors};
 use crate::policy::{ActingModel, Actor, Policy, looks_ahead};
 use crate::precision::product_kind;
 use crate::rssm::State;
 use crate::world_model::WorldModel;
+
+/// Starts from which is imagined at a time: more need more memory and are no faster.
+const IMAGINED_STARTS: i64 = 512;
 
 /// World model, actor, critic and attention with everything that training them needs.
 #[derive(Debug)]
@@ -37,6 +41,21 @@ struct Groups {
     actor: (Params, Adam),
     critic: (Params, Adam),
     slow_critic: Params,
+}
+
+/// The losses of trajectories from some of the starts, each a mean over them.
+struct BehaviorLosses {
+    actor: Tensor,
+    critic: Tensor,
+    metrics: Vec<Metric>,
+}
+
+/// What a step of actor and critic needs, one gradient per parameter.
+#[derive(Default)]
+struct BehaviorGradients {
+    actor: Vec<Tensor>,
+    critic: Vec<Tensor>,
+    metrics: Vec<Metric>,
 }
 
 /// A metric of one update; reading the tensor waits for the device.
@@ -145,11 +164,8 @@ impl Agent {
         let model = self.world.loss(batch, laps);
         let mut metrics = model.terms;
         let (params, adam) = &mut self.groups.world;
-        metrics.push((
-            "train/grad_norm/model",
-            adam.minimize(&model.total, params, false),
-        ));
-        laps.lap("world model backward");
+        metrics.push(("train/grad_norm/model", adam.minimize(&model.total, params)));
+        laps.lap(phase::WORLD_MODEL_BACKWARD);
 
         if self.updates >= self.config.behavior.warmup_updates {
             metrics.extend(self.learn_behavior(&model.states, laps));
@@ -163,11 +179,57 @@ impl Agent {
 
     /// Behaviour learning from the given posterior states (Alg. 1, lines 8-14).
     fn learn_behavior(&mut self, states: &State, laps: &mut Laps) -> Vec<Metric> {
-        let config = &self.config.behavior;
         let starts = starts(states, &self.config);
-        let policy = self.policy();
-        let imagined = imagine(&self.world, &policy, starts, config);
-        laps.lap("imagine");
+        let BehaviorGradients {
+            actor,
+            critic,
+            mut metrics,
+        } = self.behavior_gradients(&starts, IMAGINED_STARTS, laps);
+        let (params, adam) = &mut self.groups.actor;
+        metrics.push(("train/grad_norm/actor", adam.step(params, &actor)));
+        laps.lap(phase::ACTOR_BACKWARD);
+        let (params, adam) = &mut self.groups.critic;
+        metrics.push(("train/grad_norm/critic", adam.step(params, &critic)));
+        laps.lap(phase::CRITIC_BACKWARD);
+        metrics
+    }
+
+    /// Gradients of both losses, `rows` starts after the others: the losses are means over starts, and the graph of
+    /// their trajectories would be most of the memory.
+    fn behavior_gradients(&self, starts: &State, rows: i64, laps: &mut Laps) -> BehaviorGradients {
+        let total = starts.controllable.stoch.size()[0];
+        let mut sums = BehaviorGradients::default();
+        let mut first = 0;
+        while first < total {
+            let count = rows.min(total - first);
+            let share = count as f64 / total as f64;
+            let losses = self.behavior_losses(starts.map(|x| x.narrow(0, first, count)), laps);
+            let gradients = |loss: &Tensor, params: &Params, keep_graph: bool| {
+                Tensor::run_backward(&[loss * share], &params.tensors(), keep_graph, false)
+            };
+            let actor = gradients(&losses.actor, &self.groups.actor.0, true);
+            add_gradients(&mut sums.actor, actor);
+            laps.lap(phase::ACTOR_BACKWARD);
+            let critic = gradients(&losses.critic, &self.groups.critic.0, false);
+            add_gradients(&mut sums.critic, critic);
+            laps.lap(phase::CRITIC_BACKWARD);
+            for (index, (name, value)) in losses.metrics.into_iter().enumerate() {
+                let value = value.detach() * share;
+                match sums.metrics.get_mut(index) {
+                    Some((_, sum)) => *sum += value,
+                    None => sums.metrics.push((name, value)),
+                }
+            }
+            first += count;
+        }
+        sums
+    }
+
+    /// Imagines from `starts`, and both losses of it.
+    fn behavior_losses(&self, starts: State, laps: &mut Laps) -> BehaviorLosses {
+        let config = &self.config.behavior;
+        let imagined = imagine(&self.world, &self.policy(), starts, config);
+        laps.lap(phase::IMAGINE);
         let value_feats = if config.value_gradient {
             imagined.feats.shallow_clone()
         } else {
@@ -181,18 +243,17 @@ impl Agent {
             config.lambda,
         );
         let weights = step_weights(&imagined.discounts);
-        let actor_loss = actor_loss(
+        let actor = actor_loss(
             &returns,
             &imagined.entropies,
             &weights,
             config.entropy_scale,
         );
-        // Their loss reaches the critic and, through `e_t`, the attention; `minimize` leaves all else alone.
+        // Its loss reaches the critic and, through `e_t`, the attention; only their gradients are asked for.
         let steps = config.imagination_horizon - 1;
         let values = self.critic.forward(&imagined.feats.narrow(0, 0, steps));
-        let critic_loss = critic_loss(&values, &returns, &weights);
-
-        let mut metrics = vec![
+        let critic = critic_loss(&values, &returns, &weights);
+        let metrics = vec![
             ("train/imagined_reward", imagined.rewards.mean(Kind::Float)),
             ("train/imagined_return", returns.mean(Kind::Float)),
             ("train/value", values.mean(Kind::Float)),
@@ -201,23 +262,15 @@ impl Agent {
                 "train/action_magnitude",
                 imagined.actions.abs().mean(Kind::Float),
             ),
-            ("train/loss/actor", actor_loss.shallow_clone()),
-            ("train/loss/critic", critic_loss.shallow_clone()),
+            ("train/loss/actor", actor.shallow_clone()),
+            ("train/loss/critic", critic.shallow_clone()),
         ];
-        laps.lap("values");
-        let (params, adam) = &mut self.groups.actor;
-        metrics.push((
-            "train/grad_norm/actor",
-            adam.minimize(&actor_loss, params, true),
-        ));
-        laps.lap("actor backward");
-        let (params, adam) = &mut self.groups.critic;
-        metrics.push((
-            "train/grad_norm/critic",
-            adam.minimize(&critic_loss, params, false),
-        ));
-        laps.lap("critic backward");
-        metrics
+        laps.lap(phase::VALUES);
+        BehaviorLosses {
+            actor,
+            critic,
+            metrics,
+        }
     }
 
     /// The weights that acting needs, as safetensors bytes.
@@ -360,6 +413,43 @@ mod tests {
             .filter(|gradient| gradient.defined())
             .map(|gradient| gradient.norm().double_value(&[]))
             .sum()
+    }
+
+    #[test]
+    fn starts_after_others_have_the_gradients_of_all() {
+        let (agent, batch) = agent(&[]);
+        let states = agent.world.loss(&batch, &mut Laps::off()).states;
+        let starts = starts(&states, &agent.config);
+        assert_eq!(starts.controllable.stoch.size()[0], 16);
+        tch::manual_seed(5);
+        let parts = agent.behavior_gradients(&starts, 12, &mut Laps::off());
+        // The same noise again: of both parts by themselves, weighted by their starts.
+        tch::manual_seed(5);
+        let [many, few] = [(0, 12), (12, 4)].map(|(first, count)| {
+            let part = starts.map(|x| x.narrow(0, first, count));
+            agent.behavior_gradients(&part, count, &mut Laps::off())
+        });
+        let mean = |a: &Tensor, b: &Tensor| a * 0.75 + b * 0.25;
+        let pairs = [
+            (&parts.actor, &many.actor, &few.actor),
+            (&parts.critic, &many.critic, &few.critic),
+        ];
+        for (sum, a, b) in pairs {
+            for index in 0..sum.len() {
+                assert_eq!(sum[index].defined(), a[index].defined());
+                if sum[index].defined() {
+                    let wanted = mean(&a[index], &b[index]);
+                    assert!(sum[index].allclose(&wanted, 1e-4, 1e-7, false), "{index}");
+                }
+            }
+        }
+        for ((name, sum), ((_, a), (_, b))) in parts
+            .metrics
+            .iter()
+            .zip(many.metrics.iter().zip(&few.metrics))
+        {
+            assert!(sum.allclose(&mean(a, b), 1e-4, 1e-6, false), "{name}");
+        }
     }
 
     #[test]

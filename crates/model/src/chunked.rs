@@ -44,15 +44,7 @@ pub fn sum_of_parts(
         for (&index, gradient) in learned.iter().zip(gradients.by_ref()) {
             input_gradients[index].push(gradient);
         }
-        if parameter_gradients.is_empty() {
-            parameter_gradients = gradients.collect();
-        } else {
-            let _guard = tch::no_grad_guard();
-            for (sum, gradient) in parameter_gradients.iter_mut().zip(gradients) {
-                // Not in place: autograd may hand out one tensor twice, or a view without memory of its own.
-                *sum = &*sum + &gradient;
-            }
-        }
+        add_gradients(&mut parameter_gradients, gradients.collect());
         value += part_loss.detach();
         first += count;
     }
@@ -68,6 +60,20 @@ pub fn sum_of_parts(
     linear + shift
 }
 
+/// Adds the gradients of a part to those of the parts before it, which are none at first. A gradient that is undefined
+/// in one part must be so in all.
+pub fn add_gradients(sums: &mut Vec<Tensor>, part: Vec<Tensor>) {
+    let _guard = tch::no_grad_guard();
+    if sums.is_empty() {
+        *sums = part;
+        return;
+    }
+    for (sum, gradient) in sums.iter_mut().zip(part).filter(|(sum, _)| sum.defined()) {
+        // Not in place: autograd may hand out one tensor twice, or a view without memory of its own.
+        *sum = &*sum + gradient;
+    }
+}
+
 trait DotWith {
     /// The sum of products with a tensor of the same shape.
     fn dot_with(&self, other: &Tensor) -> Tensor;
@@ -75,7 +81,7 @@ trait DotWith {
 
 impl DotWith for Tensor {
     fn dot_with(&self, other: &Tensor) -> Tensor {
-        self.flatten(0, -1).dot(&other.flatten(0, -1))
+        (self * other).sum(Kind::Float)
     }
 }
 

@@ -8,15 +8,13 @@ use isodream_core::Config;
 use isodream_core::config::{InverseInput, VarianceLoss};
 
 use crate::encoder::embed_dim;
+use crate::laps::phase;
 use crate::policy::looks_ahead;
 
-/// Floating-point operations of one update.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// Floating-point operations of one update, by [`phase`].
+#[derive(Debug, Clone, PartialEq)]
 pub struct UpdateCost {
-    /// Representation learning, forward and backward.
-    pub world_model: f64,
-    /// Imagination, actor and critic.
-    pub behavior: f64,
+    phases: Vec<(&'static str, f64)>,
 }
 
 impl UpdateCost {
@@ -26,42 +24,81 @@ impl UpdateCost {
         let frames = (learner.batch_size * learner.batch_length) as f64;
         let macs = Macs::new(config, action_dim as f64);
         let length = learner.batch_length as f64;
-        let once_per_sequence = macs.background_decoder / length;
         let background_share = (config.model.background_frames as f64 / length).min(1.0);
-        let per_frame = macs.encoder_rest
-            + macs.tail * background_share
-            + 2.0 * macs.decoder
-            + once_per_sequence
-            + macs.observe
-            + macs.heads;
+        // Once per sequence, on some of its frames.
+        let background = macs.background_decoder / length + macs.tail * background_share;
+        let (encode, losses) = (
+            macs.encoder_rest + macs.observe,
+            macs.hypothetical + macs.heads,
+        );
+        let projected = 2.0 * macs.projection;
         let starts = (frames * config.behavior.start_share).ceil().max(1.0);
-        let horizon = config.behavior.imagination_horizon as f64;
-        let imagined = horizon * macs.imagined_state + (horizon - 1.0) * macs.imagined_step;
+        let states = config.behavior.imagination_horizon as f64;
+        let steps = states - 1.0;
+        let (state, step) = (&macs.imagined_state, &macs.imagined_step);
+        let behavior = |part: fn(&BehaviorMacs) -> f64| {
+            starts * 2.0 * (states * part(state) + steps * part(step))
+        };
+        let world = |macs: f64| frames * 2.0 * macs;
         Self {
-            // The first convolution's input is the image, which needs no gradient.
-            world_model: frames * 2.0 * (2.0 * macs.first_conv + 3.0 * per_frame),
-            behavior: starts * 2.0 * imagined,
+            phases: vec![
+                (phase::ENCODE, world(macs.first_conv + encode)),
+                (
+                    phase::DECODE,
+                    world(background + projected + 6.0 * macs.upsampling),
+                ),
+                (phase::LOSSES, world(losses)),
+                // The first convolution's input is the image, which needs no gradient.
+                (
+                    phase::WORLD_MODEL_BACKWARD,
+                    world(macs.first_conv + 2.0 * (encode + background + projected + losses)),
+                ),
+                (phase::IMAGINE, behavior(|macs| macs.imagine)),
+                (phase::VALUES, behavior(|macs| macs.values)),
+                (phase::ACTOR_BACKWARD, behavior(|macs| macs.actor_backward)),
+                (
+                    phase::CRITIC_BACKWARD,
+                    behavior(|macs| macs.critic_backward),
+                ),
+            ],
         }
     }
 
-    /// Both parts.
+    /// Of one phase; 0 where there is none of this name.
+    pub fn of(&self, phase: &str) -> f64 {
+        let known = self.phases.iter().find(|(name, _)| *name == phase);
+        known.map_or(0.0, |(_, flops)| *flops)
+    }
+
+    /// Of all phases.
     pub fn total(&self) -> f64 {
-        self.world_model + self.behavior
+        self.phases.iter().map(|(_, flops)| flops).sum()
     }
 }
 
-/// Multiply-accumulates of forward passes: per frame for the world model; for behaviour learning, there with the
-/// factors of its gradients, per imagined state and per step between two of them.
+/// Multiply-accumulates of behaviour learning for one imagined state, or one step between two of them.
+#[derive(Default)]
+struct BehaviorMacs {
+    imagine: f64,
+    values: f64,
+    actor_backward: f64,
+    critic_backward: f64,
+}
+
+/// Multiply-accumulates: forward passes per frame for the world model; all passes for behaviour learning.
 struct Macs {
     first_conv: f64,
     encoder_rest: f64,
     tail: f64,
-    decoder: f64,
+    /// One decoder's layers before the upsampling ones, and those.
+    projection: f64,
+    upsampling: f64,
     background_decoder: f64,
     observe: f64,
+    hypothetical: f64,
     heads: f64,
-    imagined_state: f64,
-    imagined_step: f64,
+    imagined_state: BehaviorMacs,
+    imagined_step: BehaviorMacs,
 }
 
 impl Macs {
@@ -86,10 +123,10 @@ impl Macs {
                 + if layers > 0 { units } else { inputs } * outputs
         };
         let tail = conv(6.0, 2.0 * depth, 4.0 * depth) + conv(2.0, 4.0 * depth, 8.0 * depth);
-        let decoder = |inputs: f64, channels: f64| {
-            inputs * 32.0 * depth
-                + fold(1.0, 5.0, 32.0 * depth, 4.0 * depth)
-                + fold(5.0, 5.0, 4.0 * depth, 2.0 * depth)
+        let projection =
+            |inputs: f64| inputs * 32.0 * depth + fold(1.0, 5.0, 32.0 * depth, 4.0 * depth);
+        let upsampling = |channels: f64| {
+            fold(5.0, 5.0, 4.0 * depth, 2.0 * depth)
                 + fold(13.0, 6.0, 2.0 * depth, depth)
                 + fold(30.0, 6.0, depth, channels)
         };
@@ -114,31 +151,37 @@ impl Macs {
         };
 
         // The paper's form of the variance constraints compares samples, the authors' recurrent states.
-        let hypothetical = match config.loss.variance {
+        let hypothetical_priors = match config.loss.variance {
             VarianceLoss::Paper => 3.0,
             VarianceLoss::Deter => 0.0,
         };
 
-        // Imagination: dynamics, reward and slow critic pass gradients to the actor without learning.
         let noncontrollable = if model.indicator {
             transition + prior + gate
         } else {
             0.0
         };
+        let dynamics = transition + prior + noncontrollable;
+        let actor = mlp(feat, model.actor_layers, 2.0 * action);
         let value = mlp(feat, model.critic_layers, 1.0);
-        // Both passes where the value's gradient reaches the actor, else the forward pass alone.
-        let valued = if config.behavior.value_gradient {
-            2.0
-        } else {
-            1.0
+        // Where the value's gradient does not reach the actor, the slow critic has no backward pass.
+        let valued = f64::from(u8::from(config.behavior.value_gradient));
+        // Dynamics, reward and slow critic pass gradients to the actor without learning.
+        let mut imagined_state = BehaviorMacs {
+            imagine: reward + discount,
+            values: value,
+            actor_backward: reward + discount + valued * value,
+            critic_backward: 0.0,
         };
-        let mut imagined_state = 2.0 * (reward + discount) + valued * value;
         // Actor and critic learn; the gradient of neither goes on from their first layers, unless the critic's
         // reaches the attention.
         let first = feat * units;
-        let mut imagined_step = 2.0 * (transition + prior + noncontrollable)
-            + 3.0 * (mlp(feat, model.actor_layers, 2.0 * action) + value)
-            - 2.0 * first;
+        let mut imagined_step = BehaviorMacs {
+            imagine: dynamics + actor,
+            values: value,
+            actor_backward: dynamics + 2.0 * actor - first,
+            critic_backward: 2.0 * value - first,
+        };
         if looks_ahead(config) {
             let window = float(config.behavior.rollout_window);
             let dim = float(model.attention_dim);
@@ -148,17 +191,21 @@ impl Macs {
             // Four projections per query, scores and their mean. The critic's gradient reaches the weights and
             // passes all but the first projection.
             let (project, read) = (4.0 * feat * dim, 2.0 * window * feat);
-            imagined_state += alone + valued * (project + read);
-            imagined_step += 2.0 * project - feat * dim + read + first;
+            imagined_state.imagine += alone + project + read;
+            imagined_state.actor_backward += valued * (project + read);
+            imagined_step.critic_backward += 2.0 * project - feat * dim + read + first;
         }
         Self {
             first_conv: conv(31.0, 3.0, depth),
             encoder_rest: conv(14.0, depth, 2.0 * depth) + 2.0 * tail,
             tail,
-            decoder: decoder(feat, 4.0),
-            background_decoder: decoder(float(model.background_frames) * embed, 3.0),
-            // The real transitions of both branches, one hypothetical of the one and two of the other.
-            observe: 5.0 * transition + (2.0 + hypothetical) * prior + 2.0 * posterior + gate,
+            projection: projection(feat),
+            upsampling: upsampling(4.0),
+            background_decoder: projection(float(model.background_frames) * embed)
+                + upsampling(3.0),
+            observe: 2.0 * (transition + prior + posterior) + gate,
+            // One hypothetical transition of the one branch and two of the other.
+            hypothetical: 3.0 * transition + hypothetical_priors * prior,
             heads: reward + discount + mlp(inverse_feat, model.inverse_layers, action),
             imagined_state,
             imagined_step,
@@ -175,7 +222,16 @@ mod tests {
         let mut config = Config::default();
         config.model.inverse = InverseInput::EmbedDiff;
         let cost = UpdateCost::new(&config, 2);
-        let per_frame = cost.world_model / config.batch_steps() as f64;
+        let world_model: f64 = [
+            phase::ENCODE,
+            phase::DECODE,
+            phase::LOSSES,
+            phase::WORLD_MODEL_BACKWARD,
+        ]
+        .into_iter()
+        .map(|phase| cost.of(phase))
+        .sum();
+        let per_frame = world_model / config.batch_steps() as f64;
         assert!((per_frame / 460e6 - 1.0).abs() < 0.02, "{per_frame}");
     }
 
@@ -193,10 +249,11 @@ mod tests {
                 UpdateCost::new(&config, 2)
             })
             .collect();
-        assert_eq!(steps[2].world_model, twice.world_model);
+        assert_eq!(steps[2].of(phase::DECODE), twice.of(phase::DECODE));
+        assert!(twice.of(phase::DECODE) > 0.0);
         let (first, second) = (
-            steps[1].behavior - steps[0].behavior,
-            steps[2].behavior - steps[1].behavior,
+            steps[1].total() - steps[0].total(),
+            steps[2].total() - steps[1].total(),
         );
         assert!(first > 0.0 && (first / second - 1.0).abs() < 1e-9);
     }

@@ -8,7 +8,8 @@ use crate::nn::{ConvTranspose, Linear, elu, from_phases};
 use crate::params::Scope;
 
 /// A linear layer and four transposed convolutions: features to a 64x64 picture in four phases, the form in
-/// which the last layer is fastest; everything after it works pixel by pixel and does not care.
+/// which the last layer is fastest; everything after it works pixel by pixel and does not care. Numbers and memory
+/// layout of the result are the last layer's own.
 #[derive(Debug)]
 pub struct ImageDecoder {
     input: Linear,
@@ -32,22 +33,35 @@ impl ImageDecoder {
         }
     }
 
-    fn parameters(&self) -> impl Iterator<Item = &Tensor> {
-        let up = [&self.t0, &self.t1, &self.t2, &self.t3];
-        [&self.input.weight, &self.input.bias].into_iter().chain(
-            up.into_iter()
-                .flat_map(|layer| [&layer.weight, &layer.bias]),
-        )
+    /// # Shapes
+    /// `[N, inputs] -> [N, 32, 32, 4 channels]`
+    pub fn forward(&self, feat: &Tensor) -> Tensor {
+        self.upsample(&self.project(feat))
     }
 
+    /// The layers with most of the parameters and little else.
+    ///
     /// # Shapes
-    /// `[N, inputs] -> [N, channels, 4, 32, 32]`
-    pub fn forward(&self, feat: &Tensor) -> Tensor {
+    /// `[N, inputs] -> [N, 4 depth, 5, 5]`
+    fn project(&self, feat: &Tensor) -> Tensor {
         // Not in place: a permuted view, whose in-place form autograd copies.
-        let x = self.t0.forward_vector(&self.input.forward(feat)).elu();
-        let x = elu(self.t1.forward(&x));
+        self.t0.forward_vector(&self.input.forward(feat)).elu()
+    }
+
+    fn upsampling_parameters(&self) -> impl Iterator<Item = &Tensor> {
+        [&self.t1, &self.t2, &self.t3]
+            .into_iter()
+            .flat_map(|layer| [&layer.weight, &layer.bias])
+    }
+
+    /// The layers with most of the feature maps and few parameters.
+    ///
+    /// # Shapes
+    /// `[N, 4 depth, 5, 5] -> [N, 32, 32, 4 channels]`
+    fn upsample(&self, projected: &Tensor) -> Tensor {
+        let x = elu(self.t1.forward(projected));
         let x = elu(self.t2.forward(&x));
-        self.t3.forward_phases(&x).to_kind(Kind::Float)
+        self.t3.forward_phases(&x)
     }
 }
 
@@ -78,6 +92,18 @@ impl Component {
             mask: f(&self.mask),
         }
     }
+}
+
+/// A decoder's output in `f32`, channel by channel.
+///
+/// # Shapes
+/// `[N, H, W, 4 channels] -> [N, channels, 4, H, W]`
+fn to_channels(phases: &Tensor) -> Tensor {
+    let phases = phases
+        .permute([0, 3, 1, 2])
+        .to_kind(Kind::Float)
+        .contiguous();
+    phases.unflatten(1, [phases.size()[1] / 4, 4])
 }
 
 /// A reconstruction and what it is made of, in phases (`[B, T, C, 4, 32, 32]`) or as pictures.
@@ -154,7 +180,7 @@ impl Background {
         let first = stem.narrow(1, 0, self.frames);
         let embed = self.tail.forward(&first.flatten(0, 1), None);
         let joined = embed.view([stem.size()[0], -1]);
-        self.decoder.forward(&joined).clamp(-0.5, 0.5)
+        to_channels(&self.decoder.forward(&joined)).clamp(-0.5, 0.5)
     }
 }
 
@@ -184,13 +210,35 @@ impl Decoder {
         decoder
     }
 
-    /// What [`Self::forward`] learns.
-    pub fn parameters(&self) -> Vec<&Tensor> {
-        let branches = [&self.controllable, &self.noncontrollable];
-        branches
+    /// Features of both dynamic branches as small pictures, for [`Self::upsample`].
+    ///
+    /// # Shapes
+    /// `[N, stoch + deter]` twice `-> [N, 4 depth, 5, 5]` twice
+    pub fn project(&self, controllable: &Tensor, noncontrollable: &Tensor) -> [Tensor; 2] {
+        [
+            self.controllable.project(controllable),
+            self.noncontrollable.project(noncontrollable),
+        ]
+    }
+
+    /// What [`Self::upsample`] learns.
+    pub fn upsampling_parameters(&self) -> Vec<&Tensor> {
+        [&self.controllable, &self.noncontrollable]
             .into_iter()
-            .flat_map(ImageDecoder::parameters)
+            .flat_map(ImageDecoder::upsampling_parameters)
             .collect()
+    }
+
+    /// The pictures of both dynamic branches.
+    ///
+    /// # Shapes
+    /// `[N, 4 depth, 5, 5]` twice, to pictures in phases
+    pub fn upsample(&self, controllable: &Tensor, noncontrollable: &Tensor) -> [Component; 2] {
+        [
+            self.controllable.upsample(controllable),
+            self.noncontrollable.upsample(noncontrollable),
+        ]
+        .map(|phases| Component::from_channels(&to_channels(&phases)))
     }
 
     /// Pictures of both dynamic branches over one background per sequence.
@@ -204,14 +252,10 @@ impl Decoder {
         background: &Tensor,
     ) -> Composition {
         let (batch, length) = (controllable.size()[0], controllable.size()[1]);
-        let component = |decoder: &ImageDecoder, feat: &Tensor| {
-            Component::from_channels(&decoder.forward(&feat.flatten(0, 1)))
-                .map(|x| x.unflatten(0, [batch, length]))
-        };
-        compose(
-            component(&self.controllable, controllable),
-            component(&self.noncontrollable, noncontrollable),
-            background.unsqueeze(1),
-        )
+        let [s, z] = self.project(&controllable.flatten(0, 1), &noncontrollable.flatten(0, 1));
+        let [s, z] = self
+            .upsample(&s, &z)
+            .map(|component| component.map(|x| x.unflatten(0, [batch, length])));
+        compose(s, z, background.unsqueeze(1))
     }
 }

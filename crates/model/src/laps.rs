@@ -5,6 +5,26 @@ use std::time::{Duration, Instant};
 use rustix::time::{ClockId, clock_gettime};
 use tch::Device;
 
+/// The phases of a training step.
+pub mod phase {
+    /// Encoder and latent dynamics, forward.
+    pub const ENCODE: &str = "encode and observe";
+    /// Decoders and image loss, forward and, but for what is shared by all frames, backward.
+    pub const DECODE: &str = "decode";
+    /// The other losses, forward, hypothetical transitions included.
+    pub const LOSSES: &str = "losses";
+    /// The rest of the world model's backward pass, and its optimiser.
+    pub const WORLD_MODEL_BACKWARD: &str = "world model backward";
+    /// Imagined trajectories, with the actor's choices and rewards.
+    pub const IMAGINE: &str = "imagine";
+    /// Critic and slow critic, forward.
+    pub const VALUES: &str = "values";
+    /// Through the trajectories to the actor, and its optimiser.
+    pub const ACTOR_BACKWARD: &str = "actor backward";
+    /// To critic and attention, and their optimiser.
+    pub const CRITIC_BACKWARD: &str = "critic backward";
+}
+
 /// Time spent in one phase.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Lap {

@@ -219,26 +219,17 @@ impl ConvTranspose {
     /// `[N, in, H, W] -> [N, out, 2 (H - 1) + k, 2 (W - 1) + k]`
     pub fn forward(&self, x: &Tensor) -> Tensor {
         let kind = self.products;
-        // oneDNN adds the bias of a transposed convolution, and sums its gradient, without vectors.
-        let mut y = x.to_kind(kind).conv_transpose2d::<&Tensor>(
-            &self.weight.to_kind(kind),
-            None,
-            [2, 2],
-            [0, 0],
-            [0, 0],
-            1,
-            [1, 1],
-        );
+        let mut y = self.spread(x, &self.weight.to_kind(kind), 2);
         let _ = y.g_add_(&self.bias.to_kind(kind).view([1, -1, 1, 1]));
         y
     }
 
-    /// The layer as a convolution of stride 1: pixel `2 q + r` of the result is a sum over `k / 2` inputs with
-    /// the kernel's taps of parity `r`, so that the four parities are four output channels. With few channels
-    /// this is several times faster, because it fills the machine's vectors. The kernel must be even.
+    /// The layer with stride 1: pixel `2 q + r` of the result is a sum over `k / 2` inputs with the kernel's taps of
+    /// parity `r`, so that the four parities are four output channels. With few channels this is several times
+    /// faster, because it fills the machine's vectors. The kernel must be even.
     ///
     /// # Shapes
-    /// `[N, in, H, W] -> [N, out, 4, H + k / 2 - 1, W + k / 2 - 1]`: the result's [`to_phases`]
+    /// `[N, in, H, W] -> [N, H + k / 2 - 1, W + k / 2 - 1, 4 out]`: the result's [`to_phases`], channels last
     pub fn forward_phases(&self, x: &Tensor) -> Tensor {
         let (inputs, outputs) = (self.weight.size()[0], self.weight.size()[1]);
         let (taps, kind) = (self.kernel / 2, self.products);
@@ -246,18 +237,30 @@ impl ConvTranspose {
             .weight
             .to_kind(kind)
             .view([inputs, outputs, taps, 2, taps, 2])
-            .flip([2, 4])
-            .permute([1, 3, 5, 0, 2, 4])
-            .reshape([4 * outputs, inputs, taps, taps]);
+            .permute([0, 1, 3, 5, 2, 4])
+            .reshape([inputs, 4 * outputs, taps, taps]);
+        let y = self.spread(x, &weight, 1).permute([0, 2, 3, 1]);
+        let size = y.size();
+        // A row of pixels at a time: adding vectors as short as these channels one by one takes ten times as long.
         let bias = self
             .bias
             .to_kind(kind)
             .repeat_interleave_self_int(4, 0, None);
-        let pad = taps - 1;
-        x.to_kind(kind)
-            .conv2d(&weight, Some(&bias), [1, 1], [pad, pad], [1, 1], 1)
-            .contiguous()
-            .unflatten(1, [outputs, 4])
+        (y.reshape([-1, size[2] * size[3]]) + bias.repeat([size[2]])).view(size.as_slice())
+    }
+
+    /// The transposed convolution without its bias, which oneDNN adds, and whose gradient it sums, without vectors.
+    fn spread(&self, x: &Tensor, weight: &Tensor, stride: i64) -> Tensor {
+        let (stride, none) = ([stride; 2], [0, 0]);
+        x.to_kind(self.products).conv_transpose2d::<&Tensor>(
+            weight,
+            None,
+            stride,
+            none,
+            none,
+            1,
+            [1, 1],
+        )
     }
 
     /// The layer on a 1x1 picture, which is a plain matrix product: several times faster than the same
@@ -393,7 +396,8 @@ mod tests {
         let options = (Kind::Float, Device::Cpu);
         let x = Tensor::randn([2, 5, 7, 9], options).set_requires_grad(true);
         let plain = layer.forward(&x);
-        let phases = from_phases(&layer.forward_phases(&x));
+        let phases = layer.forward_phases(&x).permute([0, 3, 1, 2]);
+        let phases = from_phases(&phases.unflatten(1, [3, 4]));
         assert_eq!(plain.size(), [2, 3, 18, 22]);
         assert!(from_phases(&to_phases(&plain)).equal(&plain));
         assert_alike(&phases, &plain, &[&x, &layer.weight, &layer.bias]);

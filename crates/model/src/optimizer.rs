@@ -39,10 +39,9 @@ impl Adam {
     }
 
     /// Descends the gradient of `loss` with respect to `params`, and to nothing else the loss may depend on.
-    /// Returns the gradient's global norm before clipping. The graph is freed unless it is to be kept for
-    /// another loss.
-    pub fn minimize(&mut self, loss: &Tensor, params: &Params, keep_graph: bool) -> Tensor {
-        let gradients = Tensor::run_backward(&[loss], &params.tensors(), keep_graph, false);
+    /// Returns the gradient's global norm before clipping. The graph is freed.
+    pub fn minimize(&mut self, loss: &Tensor, params: &Params) -> Tensor {
+        let gradients = Tensor::run_backward(&[loss], &params.tensors(), false, false);
         self.step(params, &gradients)
     }
 

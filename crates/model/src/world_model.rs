@@ -6,16 +6,16 @@ use tch::{Kind, Tensor};
 
 use crate::batch::Batch;
 use crate::chunked::sum_of_parts;
-use crate::decoder::Decoder;
+use crate::decoder::{Decoder, compose};
 use crate::encoder::{Embeddings, Encoder, embed_dim};
-use crate::laps::Laps;
+use crate::laps::{Laps, phase};
 use crate::losses::{balanced_kl, gaussian_nll, max_action_loss, min_free_loss, sample_variance};
 use crate::nn::{Mlp, to_phases};
 use crate::params::Scope;
 use crate::rssm::{Branch, Observed, Rssm, State};
 
 /// Frames that are decoded at a time: more need more memory and are no faster.
-const DECODED_FRAMES: i64 = 128;
+const DECODED_FRAMES: i64 = 64;
 
 /// Every network that representation learning trains.
 #[derive(Debug)]
@@ -182,21 +182,28 @@ impl WorldModel {
     fn image_loss(&self, batch: &Batch, encoded: &Encoded) -> (Tensor, [Tensor; 2]) {
         let (s, z) = self.decoder_feats(encoded);
         let background = self.decoder.background.forward(&encoded.stem);
-        let target = to_phases(&batch.images);
-        let (sequences, length) = (target.size()[0], target.size()[1]);
-        let mut masks = [(); 2].map(|()| Tensor::zeros([], (Kind::Float, target.device())));
+        let (sequences, length) = (s.size()[0], s.size()[1]);
+        let [s, z] = self
+            .decoder
+            .project(&s.flatten(0, 1), &z.flatten(0, 1))
+            .map(|projected| projected.unflatten(0, [sequences, length]));
+        let mut masks = [(); 2].map(|()| Tensor::zeros([], (Kind::Float, s.device())));
         let loss = sum_of_parts(
-            &[&s, &z, &background, &target],
-            &self.decoder.parameters(),
+            &[&s, &z, &background, &batch.images],
+            &self.decoder.upsampling_parameters(),
             (DECODED_FRAMES / length).max(1),
             |part| {
                 let share = part[0].size()[0] as f64 / sequences as f64;
-                let composition = self.decoder.forward(&part[0], &part[1], &part[2]);
-                let parts = [&composition.controllable, &composition.noncontrollable];
-                for (sum, component) in masks.iter_mut().zip(parts) {
+                let [s, z] = self
+                    .decoder
+                    .upsample(&part[0].flatten(0, 1), &part[1].flatten(0, 1));
+                for (sum, component) in masks.iter_mut().zip([&s, &z]) {
                     *sum += component.mask.detach().mean(Kind::Float) * share;
                 }
-                gaussian_nll(&composition.image, &part[3], 4) * share
+                let target = to_phases(&part[3]);
+                let background = part[2].unsqueeze(1).expand_as(&target);
+                let composition = compose(s, z, background.flatten(0, 1));
+                gaussian_nll(&composition.image, &target.flatten(0, 1), 4) * share
             },
         );
         (loss, masks)
@@ -205,10 +212,10 @@ impl WorldModel {
     /// `L_all = L_base + L_var` (Eq. 6, 10), the gate's sparsity penalty included.
     pub fn loss(&self, batch: &Batch, laps: &mut Laps) -> WorldModelLoss {
         let encoded = self.encode(&batch.images, &batch.actions);
-        laps.lap("encode and observe");
+        laps.lap(phase::ENCODE);
         let observed = &encoded.observed;
         let (image, masks) = self.image_loss(batch, &encoded);
-        laps.lap("decode, with its backward");
+        laps.lap(phase::DECODE);
 
         let reward_mean = self.reward(&observed.states);
         let reward = gaussian_nll(&reward_mean, &batch.rewards, 0);
@@ -264,7 +271,7 @@ impl WorldModel {
             terms.push(("train/loss/discount", discount));
         }
         terms.push(("train/loss/model", total.shallow_clone()));
-        laps.lap("losses");
+        laps.lap(phase::LOSSES);
         WorldModelLoss {
             total,
             terms,

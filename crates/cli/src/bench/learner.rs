@@ -52,6 +52,8 @@ struct LearnerBench {
     cpu_seconds_per_step: f64,
     flops_per_step: f64,
     gflops: f64,
+    /// Of the rate of matrix products in the same numbers.
+    gemm_share: f64,
     gemm_gflops_fp32: f64,
     gemm_gflops_bf16: f64,
     peak_rss_bytes: u64,
@@ -63,6 +65,9 @@ struct Phase {
     name: &'static str,
     wall_seconds: f64,
     cpu_seconds: f64,
+    flops: f64,
+    /// Of the rate of matrix products in the benchmark's numbers.
+    gemm_share: f64,
 }
 
 /// Runs the command.
@@ -97,7 +102,7 @@ fn measure(config: &Config, steps: u32, device: Device) -> anyhow::Result<Learne
     let batch = random_batch(config, spec.action_dim as i64, device);
     // Warm-up: libraries choose their kernels and allocators fill.
     agent.update(&batch);
-    let mut fastest: Option<(Lap, Vec<Phase>)> = None;
+    let mut fastest: Option<(Lap, Vec<(&'static str, Lap)>)> = None;
     for _ in 0..steps {
         let mut laps = Laps::start(device);
         agent.measured_update(&batch, &mut laps);
@@ -113,23 +118,29 @@ fn measure(config: &Config, steps: u32, device: Device) -> anyhow::Result<Learne
             .as_ref()
             .is_none_or(|(best, _)| total.wall < best.wall)
         {
-            let phases = laps.phases().iter().map(|(name, lap)| Phase {
-                name,
-                wall_seconds: lap.wall,
-                cpu_seconds: lap.cpu,
-            });
-            fastest = Some((total, phases.collect()));
+            fastest = Some((total, laps.phases().to_vec()));
         }
     }
     let (total, phases) = fastest.expect("at least one step is measured");
     let peak_rss_bytes = machine::peak_rss_bytes()?;
-    let flops = UpdateCost::new(config, spec.action_dim).total();
+    let cost = UpdateCost::new(config, spec.action_dim);
+    let flops = cost.total();
+    let gemm_gflops_fp32 = machine::gemm_gflops(Kind::Float, device);
+    let gemm_gflops_bf16 = machine::gemm_gflops(Kind::BFloat16, device);
+    let (dtype, gemm_gflops) = match product_kind(config.learner.precision, device) {
+        Kind::BFloat16 => ("bf16", gemm_gflops_bf16),
+        _ => ("fp32", gemm_gflops_fp32),
+    };
+    let phases = phases.into_iter().map(|(name, lap)| Phase {
+        name,
+        wall_seconds: lap.wall,
+        cpu_seconds: lap.cpu,
+        flops: cost.of(name),
+        gemm_share: cost.of(name) / lap.wall / 1e9 / gemm_gflops,
+    });
     Ok(LearnerBench {
         device: format!("{device:?}"),
-        dtype: match product_kind(config.learner.precision, device) {
-            Kind::BFloat16 => "bf16",
-            _ => "fp32",
-        },
+        dtype,
         threads: tch::get_num_threads(),
         batch: config.learner.batch_size,
         length: config.learner.batch_length,
@@ -138,10 +149,11 @@ fn measure(config: &Config, steps: u32, device: Device) -> anyhow::Result<Learne
         cpu_seconds_per_step: total.cpu,
         flops_per_step: flops,
         gflops: flops / total.wall / 1e9,
-        gemm_gflops_fp32: machine::gemm_gflops(Kind::Float, device),
-        gemm_gflops_bf16: machine::gemm_gflops(Kind::BFloat16, device),
+        gemm_share: flops / total.wall / 1e9 / gemm_gflops,
+        gemm_gflops_fp32,
+        gemm_gflops_bf16,
         peak_rss_bytes,
-        phases,
+        phases: phases.collect(),
     })
 }
 
@@ -176,20 +188,39 @@ impl LearnerBench {
             self.cpu_seconds_per_step
         )];
         lines.push(format!(
-            "{:.1} GFLOP per step at {:.0} GFLOP/s; matrix products here: {:.0} in fp32, {:.0} in bf16; peak memory {:.2} GB",
-            self.flops_per_step / 1e9,
+            "{:.0} GFLOP/s; matrix products here: {:.0} in fp32, {:.0} in bf16; peak memory {:.2} GB",
             self.gflops,
             self.gemm_gflops_fp32,
             self.gemm_gflops_bf16,
             self.peak_rss_bytes as f64 / 1e9
         ));
-        lines.push(format!("{:<24} {:>8} {:>8}", "phase", "wall s", "CPU s"));
-        lines.extend(self.phases.iter().map(|phase| {
+        lines.push(format!(
+            "{:<24} {:>8} {:>8} {:>8} {:>12}",
+            "phase", "wall s", "CPU s", "GFLOP", "of products"
+        ));
+        let row = |name: &str, wall: f64, cpu: f64, flops: f64, share: f64| {
             format!(
-                "{:<24} {:>8.3} {:>8.3}",
-                phase.name, phase.wall_seconds, phase.cpu_seconds
+                "{name:<24} {wall:>8.3} {cpu:>8.3} {:>8.1} {:>10.0} %",
+                flops / 1e9,
+                1e2 * share
+            )
+        };
+        lines.extend(self.phases.iter().map(|phase| {
+            row(
+                phase.name,
+                phase.wall_seconds,
+                phase.cpu_seconds,
+                phase.flops,
+                phase.gemm_share,
             )
         }));
+        lines.push(row(
+            "all",
+            self.wall_seconds_per_step,
+            self.cpu_seconds_per_step,
+            self.flops_per_step,
+            self.gemm_share,
+        ));
         lines.join("\n")
     }
 }
