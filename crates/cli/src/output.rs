@@ -1,11 +1,13 @@
 //! What commands print.
 
+use std::io::Write as _;
+
 use serde::Serialize;
 
-/// The one place where results go to standard output; logs and progress go to standard error.
-#[allow(clippy::print_stdout)]
+/// The one place where results go to standard output; logs and progress go to standard error. A reader that has read
+/// enough, such as `head`, may have closed it.
 pub(crate) fn print(text: &str) {
-    println!("{text}");
+    let _ = writeln!(std::io::stdout(), "{text}");
 }
 
 /// Prints a result for scripts or for people.

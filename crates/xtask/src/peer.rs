@@ -51,8 +51,8 @@ pub(crate) fn peer(root: &Path, args: &PeerArgs) -> Result<()> {
     let mut theirs = Command::new(python);
     theirs.arg(root.join("bench/peer.py")).args(&options);
     theirs.args(args.as_published.then_some("--as-published"));
-    // Both with waiting threads that do not spin, which CPU seconds would count.
-    theirs.env("OMP_WAIT_POLICY", "PASSIVE");
+    // Both with waiting threads that soon sleep: CPU seconds would count their spinning.
+    theirs.envs([("OMP_WAIT_POLICY", "PASSIVE"), ("GOMP_SPINCOUNT", "1000")]);
     let ours = stage("isodream", || measured(&mut ours))?;
     let theirs = stage("plain PyTorch", || measured(&mut theirs))?;
 
