@@ -220,7 +220,7 @@ mod tests {
         let wheel = dir.path().join("a.whl");
         fs::write(&wheel, "a").unwrap();
         let hash = "ca978112ca1bbdcafac231b39a23dc4da786eff8147c4e72b9807785afee48bb";
-        let manifest = Manifest::of_files(&dir.path().join("none"), &[wheel.clone()]);
+        let manifest = Manifest::of_files(&dir.path().join("none"), std::slice::from_ref(&wheel));
         assert!(manifest.is_err(), "a folder that is not there");
         let manifest = Manifest::of_files(dir.path(), &[wheel]).unwrap();
         assert!(manifest.is_of_wheels([hash]));
