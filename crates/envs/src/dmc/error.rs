@@ -39,7 +39,7 @@ pub enum ControlError {
     #[error("cannot {what}: {reason}")]
     Peer {
         /// What was attempted.
-        what: String,
+        what: &'static str,
         /// The end of what it said.
         reason: String,
     },

@@ -103,11 +103,6 @@ impl ControlTask {
         self.physics.model().actuator_ctrlrange().len()
     }
 
-    /// Simulated seconds per control step.
-    pub fn control_timestep_secs(&self) -> f64 {
-        self.physics.data().model_opt().timestep * self.entry.substeps as f64
-    }
-
     /// Starts the first episode of an environment that dm_control seeds with the lower 32 bits of `seed`.
     ///
     /// # Errors

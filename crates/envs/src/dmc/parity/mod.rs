@@ -2,16 +2,20 @@
 
 mod venv;
 
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use self::venv::said;
 use super::random::RandomState;
-use super::{ControlError, ControlTask, ids};
+use super::{ControlError, ControlTask};
 use crate::EnvError;
 
 /// Drives dm_control and writes down what happens.
 const SCRIPT: &str = include_str!("peer.py");
+
+/// How long one action is held, here as in the script.
+const HELD_STEPS: usize = 10;
 
 /// Python with dm_control.
 #[derive(Debug, Clone)]
@@ -30,6 +34,15 @@ pub struct Plan {
     pub steps: usize,
 }
 
+impl Plan {
+    /// Three whole episodes, seeded so that even random actions earn something in nearly every task.
+    pub const FULL: Self = Self {
+        seed: 14,
+        episodes: 3,
+        steps: 1000,
+    };
+}
+
 /// What came out for one task.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Parity {
@@ -39,6 +52,8 @@ pub struct Parity {
     pub max_abs_state_diff: f64,
     /// Greatest difference of any reward; 0 is bit-identical, infinite is NaN.
     pub max_abs_reward_diff: f64,
+    /// Greatest reward that was earned; where it is 0, the agreement of the rewards says little.
+    pub best_reward: f64,
 }
 
 impl Peer {
@@ -71,7 +86,7 @@ impl Peer {
         }
         match theirs.next() {
             None => Ok(results),
-            Some(_) => Err(peer_error("more numbers than expected").into()),
+            Some(_) => Err(peer_error(&"more numbers than expected").into()),
         }
     }
 
@@ -89,9 +104,9 @@ impl Peer {
         }
         // Nothing is drawn, and without a display the import alone would fail.
         command.env("MUJOCO_GL", "disable");
-        let output = command.output().map_err(peer_error)?;
+        let output = command.output().map_err(|error| peer_error(&error))?;
         if !output.status.success() {
-            return Err(peer_error(said(&output)));
+            return Err(peer_error(&said(&output)));
         }
         Ok(output.stdout)
     }
@@ -103,10 +118,12 @@ fn follow(
     plan: Plan,
     theirs: &mut impl Iterator<Item = f64>,
 ) -> Result<Parity, EnvError> {
-    let mut next = || theirs.next().ok_or_else(|| peer_error("it stopped early"));
+    let mut next = || theirs.next().ok_or_else(|| peer_error(&"it stopped early"));
     let mut actions = RandomState::new(plan.seed.wrapping_add(1));
     let mut state = 0.0_f64;
     let mut rewards = 0.0_f64;
+    let mut best_reward = 0.0_f64;
+    let mut action = vec![0.0; task.action_dim()];
     for episode in 0..plan.episodes {
         if episode == 0 {
             task.reset(plan.seed.into())?;
@@ -115,11 +132,12 @@ fn follow(
         }
         for step in 0..=plan.steps {
             if step > 0 {
-                let action: Vec<f64> = (0..task.action_dim())
-                    .map(|_| actions.uniform(-1.0, 1.0))
-                    .collect();
+                if (step - 1) % HELD_STEPS == 0 {
+                    action.fill_with(|| actions.uniform(-2.0, 2.0).clamp(-1.0, 1.0));
+                }
                 let reward = task.step(&action)?;
                 rewards = rewards.max(distance(reward, next()?));
+                best_reward = best_reward.max(reward);
             }
             for &value in task.qpos().iter().chain(task.qvel()) {
                 state = state.max(distance(value, next()?));
@@ -130,6 +148,7 @@ fn follow(
         id: task.id(),
         max_abs_state_diff: state,
         max_abs_reward_diff: rewards,
+        best_reward,
     })
 }
 
@@ -143,9 +162,9 @@ fn distance(a: f64, b: f64) -> f64 {
     }
 }
 
-fn peer_error(reason: impl ToString) -> ControlError {
+fn peer_error(reason: &dyn Display) -> ControlError {
     ControlError::Peer {
-        what: "drive dm_control".to_owned(),
+        what: "drive dm_control",
         reason: reason.to_string(),
     }
 }

@@ -1,8 +1,8 @@
 """Drives tasks of dm_control: SEED EPISODES STEPS DOMAIN/TASK...
 
 Writes doubles in the machine's byte order, exactly as they are: for each task and episode qpos and qvel after the
-reset, then for each step the reward, qpos and qvel. Actions are uniform draws from RandomState(SEED + 1), which goes
-on from episode to episode.
+reset, then for each step the reward, qpos and qvel. Actions come from RandomState(SEED + 1), which goes on from
+episode to episode: uniform in [-2, 2], clipped to [-1, 1], and held for ten steps, so that bodies get moving.
 """
 
 import sys
@@ -26,6 +26,8 @@ for name in sys.argv[4:]:
     for _ in range(episodes):
         environment.reset()
         write(data.qpos, data.qvel)
-        for _ in range(steps):
-            reward = environment.step(actions.uniform(-1, 1, size)).reward
+        for step in range(steps):
+            if step % 10 == 0:
+                action = np.clip(actions.uniform(-2, 2, size), -1, 1)
+            reward = environment.step(action).reward
             write([reward], data.qpos, data.qvel)

@@ -1,5 +1,6 @@
 //! A virtual environment of Python that holds dm_control.
 
+use std::fmt::Display;
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -17,7 +18,7 @@ pub(super) fn install(folder: &Path) -> Result<PathBuf, ControlError> {
     let python = folder.join("bin/python");
     let stamp = folder.join("complete");
     let contents = REQUIREMENTS.join("\n");
-    let _lock = lock(folder).map_err(error)?;
+    let _lock = lock(folder).map_err(|error| failed(&error))?;
     if fs::read_to_string(&stamp).ok().as_ref() == Some(&contents) {
         return Ok(python);
     }
@@ -28,7 +29,7 @@ pub(super) fn install(folder: &Path) -> Result<PathBuf, ControlError> {
         .args(["-m", "pip", "install", "--quiet"])
         .arg("--disable-pip-version-check")
         .args(REQUIREMENTS))?;
-    fs::write(stamp, contents).map_err(error)?;
+    fs::write(stamp, contents).map_err(|error| failed(&error))?;
     Ok(python)
 }
 
@@ -44,11 +45,11 @@ fn lock(folder: &Path) -> io::Result<File> {
 }
 
 fn run(command: &mut Command) -> Result<(), ControlError> {
-    let output = command.output().map_err(error)?;
+    let output = command.output().map_err(|error| failed(&error))?;
     if output.status.success() {
         return Ok(());
     }
-    Err(error(said(&output)))
+    Err(failed(&said(&output)))
 }
 
 /// The status of a failed command, and the end of what it said.
@@ -59,9 +60,9 @@ pub(super) fn said(output: &Output) -> String {
     format!("{}: {}", output.status, last.join("; "))
 }
 
-fn error(reason: impl ToString) -> ControlError {
+fn failed(reason: &dyn Display) -> ControlError {
     ControlError::Peer {
-        what: "install dm_control".to_owned(),
+        what: "install dm_control",
         reason: reason.to_string(),
     }
 }
