@@ -57,4 +57,8 @@ pub enum EnvError {
         /// The known names, comma-separated.
         known: String,
     },
+    /// A DeepMind Control task failed.
+    #[cfg(feature = "mujoco")]
+    #[error(transparent)]
+    Control(#[from] crate::dmc::ControlError),
 }

@@ -17,6 +17,8 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::print_stdout))]
 
+#[cfg(feature = "mujoco")]
+pub mod dmc;
 mod driver;
 mod environment;
 mod error;

@@ -1,6 +1,6 @@
 //! What one types in this repository: `cargo xtask setup | ci | test | demo | bench`.
 //!
-//! Needs neither libtorch nor network to build, because it is what fetches libtorch.
+//! Needs neither native libraries nor network to build, because it is what fetches the libraries.
 
 mod ci;
 mod deps;
@@ -24,7 +24,7 @@ struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Put libtorch into .native/; does nothing where it already stands.
+    /// Put libtorch and MuJoCo into .native/; does nothing where they already stand.
     Setup {
         /// Hash every file instead of comparing sizes.
         #[arg(long)]

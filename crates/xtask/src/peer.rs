@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use serde_json::Value;
 
 use crate::run::release_binary;
-use crate::stage::{output, run, stage, with_libtorch};
+use crate::stage::{output, run, stage, with_native};
 
 /// The PyTorch that shares our libtorch's version, with everything it needs.
 const TORCH: &str = "torch==2.11.0";
@@ -47,7 +47,7 @@ pub(crate) fn peer(root: &Path, args: &PeerArgs) -> Result<()> {
     ours.args(["bench", "learner", "--preset", "paper", "--json"])
         .args(["--set", "model.inverse=embed_diff"])
         .args(&options);
-    with_libtorch(&mut ours, root);
+    with_native(&mut ours, root);
     let mut theirs = Command::new(python);
     theirs.arg(root.join("bench/peer.py")).args(&options);
     theirs.args(args.as_published.then_some("--as-published"));

@@ -7,7 +7,7 @@ use std::process::Command;
 use anyhow::{Context, Result};
 use serde_json::Value;
 
-use crate::stage::{answers, cargo, output, run, stage, with_libtorch};
+use crate::stage::{answers, cargo, output, run, stage, with_native};
 
 /// Runs all tests, or with `args` those that they select.
 pub(crate) fn test(root: &Path, args: &[String]) -> Result<()> {
@@ -58,7 +58,7 @@ pub(crate) fn demo(root: &Path, args: &[String]) -> Result<()> {
         .current_dir(root)
         .args(["train", "--preset", "quick", "--run-dir", "runs/demo"])
         .args(args);
-    with_libtorch(&mut command, root);
+    with_native(&mut command, root);
     let error = command.exec();
     Err(error).with_context(|| format!("cannot start {}", binary.display()))
 }

@@ -27,24 +27,26 @@ pub(crate) fn stage<T>(name: &str, work: impl FnOnce() -> Result<T>) -> Result<T
     result.with_context(|| format!("stage `{name}` failed"))
 }
 
-/// Cargo, the same that started us, in `root` and with libtorch where the dynamic loader finds it: the
+/// Cargo, the same that started us, in `root` and with the native libraries where the dynamic loader finds them: the
 /// rpath of our binaries does not cover doc tests and target folders elsewhere.
 pub(crate) fn cargo<'a>(root: &Path, args: impl IntoIterator<Item = &'a str>) -> Command {
     let program = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut command = Command::new(program);
     command.current_dir(root).args(args);
-    with_libtorch(&mut command, root);
+    with_native(&mut command, root);
     command
 }
 
-/// Puts libtorch on the search path of the dynamic loader.
-pub(crate) fn with_libtorch(command: &mut Command, root: &Path) {
+/// Puts libtorch and MuJoCo on the search path of the dynamic loader.
+pub(crate) fn with_native(command: &mut Command, root: &Path) {
     let variable = if cfg!(target_os = "macos") {
         "DYLD_FALLBACK_LIBRARY_PATH"
     } else {
         "LD_LIBRARY_PATH"
     };
     let mut path = root.join(".native/libtorch/lib").into_os_string();
+    path.push(":");
+    path.push(root.join(".native/mujoco/lib"));
     if let Some(present) = env::var_os(variable).filter(|value| !value.is_empty()) {
         path.push(":");
         path.push(present);

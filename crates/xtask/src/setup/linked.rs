@@ -8,7 +8,7 @@ use std::{env, fs};
 
 use anyhow::{Context, Result, bail};
 
-use super::VERSION;
+use super::libtorch::VERSION;
 use super::manifest::Manifest;
 use crate::stage::output;
 

@@ -1,4 +1,4 @@
-//! `.native/manifest.json`: what setup made, so that the next setup sees in a moment that it still stands.
+//! `.native/*.json`: what setup made, so that the next setup sees in a moment that it still stands.
 
 use std::fs::{self, File};
 use std::io::Read;
@@ -8,29 +8,29 @@ use anyhow::{Context, Result};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
-use super::linked;
-
-const FILE: &str = "manifest.json";
+/// Many small files: one hash for all of them.
+const HEADERS: &str = "include";
 
 /// What was made: files with their sizes and hashes, or links to a libtorch of the user.
 #[derive(Debug)]
 pub(super) struct Manifest(Value);
 
 impl Manifest {
-    /// The manifest in `native`, unless there is none that we understand.
-    pub(super) fn read(native: &Path) -> Option<Self> {
-        let bytes = fs::read(native.join(FILE)).ok()?;
+    /// The manifest `name` in `native`, unless there is none that we understand.
+    pub(super) fn read(native: &Path, name: &str) -> Option<Self> {
+        let bytes = fs::read(native.join(name)).ok()?;
         serde_json::from_slice(&bytes).ok().map(Self)
     }
 
-    /// Hashes what is in `libtorch`; `wheels` are the files it was unpacked from.
-    pub(super) fn of_files(libtorch: &Path, wheels: &[PathBuf]) -> Result<Self> {
+    /// Hashes what is in `folder`; `wheels` are the files it was unpacked from.
+    pub(super) fn of_files(folder: &Path, wheels: &[PathBuf]) -> Result<Self> {
+        let headers = folder.join(HEADERS);
         let mut files = serde_json::Map::new();
-        for path in tree(&libtorch.join("lib"))? {
-            files.insert(relative(&path, libtorch), entry(&path)?);
+        for path in tree(folder)? {
+            if !path.starts_with(&headers) {
+                files.insert(relative(&path, folder), entry(&path)?);
+            }
         }
-        let build_version = libtorch.join("build-version");
-        files.insert("build-version".to_owned(), entry(&build_version)?);
         let mut fetched = serde_json::Map::new();
         for path in wheels {
             let name = path
@@ -40,10 +40,15 @@ impl Manifest {
                 .into_owned();
             fetched.insert(name, entry(path)?);
         }
+        let include_sha256 = if headers.is_dir() {
+            Some(hash_tree(&headers)?)
+        } else {
+            None
+        };
         Ok(Self(json!({
             "fetched": fetched,
             "files": files,
-            "include_sha256": hash_tree(&libtorch.join("include"))?,
+            "include_sha256": include_sha256,
         })))
     }
 
@@ -57,21 +62,30 @@ impl Manifest {
         self.0["linked"].as_str().map(Path::new)
     }
 
+    /// Whether the files come from wheels of exactly these hashes.
+    pub(super) fn is_of_wheels<'a>(&self, sha256: impl IntoIterator<Item = &'a str>) -> bool {
+        let fetched = self.0["fetched"].as_object().into_iter().flatten();
+        let mut fetched: Vec<_> = fetched
+            .map(|(_, entry)| entry["sha256"].as_str().unwrap_or_default())
+            .collect();
+        let mut expected: Vec<_> = sha256.into_iter().collect();
+        fetched.sort_unstable();
+        expected.sort_unstable();
+        fetched == expected
+    }
+
     /// Writes the manifest, which makes the setup complete: last, and whole or not at all.
-    pub(super) fn write(&self, native: &Path) -> Result<()> {
-        let path = native.join(FILE);
-        let part = native.join("manifest.json.tmp");
+    pub(super) fn write(&self, native: &Path, name: &str) -> Result<()> {
+        let path = native.join(name);
+        let part = native.join(format!("{name}.tmp"));
         fs::write(&part, format!("{:#}\n", self.0))
             .and_then(|()| fs::rename(&part, &path))
             .with_context(|| format!("cannot write {}", path.display()))
     }
 
-    /// The first thing in `libtorch` that is not as this manifest says: by presence and size, with `full`
+    /// The first thing in `folder` that is not as this manifest says: by presence and size, with `full`
     /// also by hash.
-    pub(super) fn mismatch(&self, libtorch: &Path, full: bool) -> Option<String> {
-        if let Some(missing) = linked::missing(libtorch) {
-            return Some(format!("{missing} is missing"));
-        }
+    pub(super) fn mismatch(&self, folder: &Path, full: bool) -> Option<String> {
         if self.linked().is_some() {
             return None;
         }
@@ -79,7 +93,7 @@ impl Manifest {
             return Some("its manifest lists no files".to_owned());
         };
         for (name, expected) in files {
-            let path = libtorch.join(name);
+            let path = folder.join(name);
             let bytes = fs::metadata(&path).ok().map(|metadata| metadata.len());
             if bytes != expected["bytes"].as_u64() {
                 return Some(format!("{name} has not the size that its manifest says"));
@@ -88,8 +102,8 @@ impl Manifest {
                 return Some(format!("{name} has not the hash that its manifest says"));
             }
         }
-        let include = || hash_tree(&libtorch.join("include")).ok();
-        if full && include().as_deref() != self.0["include_sha256"].as_str() {
+        let headers = || hash_tree(&folder.join(HEADERS)).ok();
+        if full && headers().as_deref() != self.0["include_sha256"].as_str() {
             return Some("the headers have not the hash that its manifest says".to_owned());
         }
         None
@@ -169,53 +183,48 @@ mod tests {
     #[test]
     fn damage_is_seen_by_size_at_once_and_by_hash_when_asked() {
         let dir = tempfile::tempdir().unwrap();
-        let libtorch = dir.path().join("libtorch");
+        let folder = dir.path().join("library");
         let write = |name: &str, content: &str| {
-            let path = libtorch.join(name);
+            let path = folder.join(name);
             fs::create_dir_all(path.parent().unwrap()).unwrap();
             fs::write(path, content).unwrap();
         };
-        let header = "include/torch/csrc/api/include/torch/torch.h";
-        write(header, "#pragma once");
-        write("lib/libtorch.so", "library");
-        write("lib/libtorch.dylib", "library");
+        write("include/header.h", "#pragma once");
+        write("lib/library.so", "library");
         write("build-version", "1");
-        Manifest::of_files(&libtorch, &[])
+        let check = |full| {
+            let manifest = Manifest::read(dir.path(), "library.json").unwrap();
+            manifest.mismatch(&folder, full).unwrap_or_default()
+        };
+        Manifest::of_files(&folder, &[])
             .unwrap()
-            .write(dir.path())
+            .write(dir.path(), "library.json")
             .unwrap();
-        let manifest = Manifest::read(dir.path()).unwrap();
-        assert_eq!(manifest.mismatch(&libtorch, true), None);
+        assert_eq!(check(true), "");
 
-        write("lib/libtorch.so", "libravy");
-        assert_eq!(manifest.mismatch(&libtorch, false), None);
-        assert!(
-            manifest
-                .mismatch(&libtorch, true)
-                .unwrap()
-                .contains("lib/libtorch.so")
-        );
-        write("lib/libtorch.so", "short");
-        assert!(
-            manifest
-                .mismatch(&libtorch, false)
-                .unwrap()
-                .contains("lib/libtorch.so")
-        );
-        write("lib/libtorch.so", "library");
-        write(header, "#pragma twice");
-        assert!(
-            manifest
-                .mismatch(&libtorch, true)
-                .unwrap()
-                .contains("headers")
-        );
-        fs::remove_file(libtorch.join(header)).unwrap();
-        assert!(
-            manifest
-                .mismatch(&libtorch, false)
-                .unwrap()
-                .contains("torch.h")
-        );
+        write("lib/library.so", "libravy");
+        assert_eq!(check(false), "");
+        assert!(check(true).contains("lib/library.so"));
+        write("lib/library.so", "short");
+        assert!(check(false).contains("lib/library.so"));
+        write("lib/library.so", "library");
+        write("include/header.h", "#pragma twice");
+        assert!(check(true).contains("headers"));
+        fs::remove_file(folder.join("build-version")).unwrap();
+        assert!(check(false).contains("build-version"));
+    }
+
+    #[test]
+    fn other_wheels_than_the_pinned_ones_are_seen() {
+        let dir = tempfile::tempdir().unwrap();
+        let wheel = dir.path().join("a.whl");
+        fs::write(&wheel, "a").unwrap();
+        let hash = "ca978112ca1bbdcafac231b39a23dc4da786eff8147c4e72b9807785afee48bb";
+        let manifest = Manifest::of_files(&dir.path().join("none"), std::slice::from_ref(&wheel));
+        assert!(manifest.is_err(), "a folder that is not there");
+        let manifest = Manifest::of_files(dir.path(), &[wheel]).unwrap();
+        assert!(manifest.is_of_wheels([hash]));
+        assert!(!manifest.is_of_wheels(["0"]));
+        assert!(!manifest.is_of_wheels([hash, "0"]));
     }
 }

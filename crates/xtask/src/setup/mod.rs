@@ -1,8 +1,9 @@
-//! `cargo xtask setup`: makes `.native/libtorch/{include,lib,build-version}` and leaves it alone where it
-//! stands.
+//! `cargo xtask setup`: makes `.native/libtorch` and `.native/mujoco`, and leaves each alone where it stands.
 
+mod libtorch;
 mod linked;
 mod manifest;
+mod mujoco;
 mod preflight;
 mod wheels;
 
@@ -15,8 +16,6 @@ use anyhow::{Context, Result};
 use self::manifest::Manifest;
 use crate::stage::stage;
 
-/// The libtorch that tch builds against.
-const VERSION: &str = "2.11.0";
 /// Folders of this name are work in progress, or what a killed setup left of it.
 const WORK_PREFIX: &str = "tmp-";
 
@@ -26,47 +25,40 @@ pub(crate) fn ensure(root: &Path, verify: bool) -> Result<()> {
     fs::create_dir_all(&native).with_context(|| format!("cannot create {}", native.display()))?;
     let _lock = lock(&native)?;
     remove_leftovers(&native)?;
+    libtorch::ensure(root, &native, verify)?;
+    mujoco::ensure(&native, verify)
+}
 
-    let libtorch = native.join("libtorch");
-    let wanted = linked::wanted(root)?;
-    let reason = match Manifest::read(&native) {
-        Some(manifest)
-            if wanted.is_some()
-                && manifest.linked() != wanted.as_ref().map(|w| w.path.as_path()) =>
-        {
-            "another libtorch is asked for by the environment".to_owned()
-        }
-        Some(manifest) if verify => {
-            match stage("verify libtorch", || Ok(manifest.mismatch(&libtorch, true)))? {
-                None => return Ok(()),
-                Some(reason) => reason,
-            }
-        }
-        Some(manifest) => match manifest.mismatch(&libtorch, false) {
-            None => return Ok(()),
-            Some(reason) => reason,
-        },
-        None if wanted.is_none() && wheels::is_complete(&libtorch) => {
-            preflight::compiler()?;
-            return stage("adopt the libtorch that is there", || {
-                Manifest::of_files(&libtorch, &[])?.write(&native)
-            });
-        }
-        None => "it is not complete".to_owned(),
-    };
-    eprintln!("xtask: making {}: {reason}", libtorch.display());
-    preflight::compiler()?;
+/// What `mismatch` says about the folder `name`; a stage of its own where it hashes.
+fn checked(
+    name: &str,
+    verify: bool,
+    mismatch: impl FnOnce() -> Option<String>,
+) -> Result<Option<String>> {
+    if verify {
+        stage(&format!("verify {name}"), || Ok(mismatch()))
+    } else {
+        Ok(mismatch())
+    }
+}
 
+/// Puts what `make` makes of a work folder and an empty one in the place of `.native/{name}`.
+fn install(
+    native: &Path,
+    name: &str,
+    manifest: &str,
+    reason: &str,
+    make: impl FnOnce(&Path, &Path) -> Result<Manifest>,
+) -> Result<()> {
+    let target = native.join(name);
+    eprintln!("xtask: making {}: {reason}", target.display());
     let work = native.join(format!("{WORK_PREFIX}{}", process::id()));
-    let made = work.join("libtorch");
+    let made = work.join(name);
     fs::create_dir_all(&made).with_context(|| format!("cannot create {}", made.display()))?;
-    let manifest = match &wanted {
-        Some(present) => linked::make(present, &made)?,
-        None => wheels::make(&work, &made)?,
-    };
-    replace(&libtorch, &made, &work)?;
-    manifest.write(&native)?;
-    remove_leftovers(&native)
+    let contents = make(&work, &made)?;
+    replace(&target, &made, &work)?;
+    contents.write(native, manifest)?;
+    remove_leftovers(native)
 }
 
 /// One setup at a time: a second one waits, and then finds everything in place.

@@ -31,20 +31,18 @@ pub(super) fn compiler() -> Result<()> {
     )
 }
 
-/// Python and pip, which fetch and unpack libtorch.
-pub(super) fn python() -> Result<()> {
+/// Python and pip, which fetch and unpack `what`; `otherwise` says how to do without.
+pub(super) fn python(what: &str, otherwise: &str) -> Result<()> {
     if !answers(Command::new("python3").arg("--version")) {
         bail!(
-            "python3 is missing, it fetches libtorch: install it (Debian, Ubuntu: apt-get install python3 \
-             python3-pip), or set LIBTORCH to an unpacked libtorch {}",
-            super::VERSION
+            "python3 is missing, it fetches {what}: install it (Debian, Ubuntu: apt-get install python3 \
+             python3-pip), {otherwise}"
         );
     }
     if !answers(Command::new("python3").args(["-m", "pip", "--version"])) {
         bail!(
-            "pip is missing, it fetches libtorch: install it (Debian, Ubuntu: apt-get install python3-pip; \
-             elsewhere: python3 -m ensurepip), or set LIBTORCH to an unpacked libtorch {}",
-            super::VERSION
+            "pip is missing, it fetches {what}: install it (Debian, Ubuntu: apt-get install python3-pip; \
+             elsewhere: python3 -m ensurepip), {otherwise}"
         );
     }
     Ok(())

@@ -1,0 +1,118 @@
+//! The tasks: how each of them starts, and what it rewards.
+//!
+//! Facts are those of dm_control 1.0.50. Another task is a file beside this one and a line in [`TASKS`].
+
+mod acrobot;
+mod ball_in_cup;
+mod cartpole;
+mod cheetah;
+mod finger;
+mod fish;
+mod hopper;
+mod humanoid;
+mod joints;
+mod pendulum;
+mod point_mass;
+mod reacher;
+mod walker;
+
+use super::ControlError;
+use super::physics::Physics;
+use super::random::RandomState;
+
+/// What makes a task out of a model.
+pub(super) trait Task: Send {
+    /// Draws the first state of an episode into `physics`, which is in the model's own pose.
+    fn start(
+        &mut self,
+        physics: &mut Physics,
+        random: &mut RandomState,
+    ) -> Result<(), ControlError>;
+
+    /// The reward for having arrived in the present state.
+    fn reward(&self, physics: &Physics) -> f64;
+}
+
+/// A row of the table of tasks.
+pub(super) struct Entry {
+    pub(super) id: &'static str,
+    /// Names the model's file, and begins the id.
+    pub(super) domain: &'static str,
+    /// Time steps of the model per control step.
+    pub(super) substeps: usize,
+    pub(super) make: fn(&Physics) -> Result<Box<dyn Task>, ControlError>,
+}
+
+impl Entry {
+    pub(super) fn domain_and_task(&self) -> (&'static str, &'static str) {
+        (self.domain, &self.id[self.domain.len() + 1..])
+    }
+}
+
+/// All tasks.
+pub(super) const TASKS: &[Entry] = &[
+    entry("finger_spin", "finger", 2, finger::spin),
+    entry("hopper_stand", "hopper", 4, hopper::stand),
+    entry("walker_walk", "walker", 10, walker::walk),
+    entry("cheetah_run", "cheetah", 1, cheetah::run),
+    entry("acrobot_swingup", "acrobot", 1, acrobot::swingup),
+    entry(
+        "acrobot_swingup_sparse",
+        "acrobot",
+        1,
+        acrobot::swingup_sparse,
+    ),
+    entry("ball_in_cup_catch", "ball_in_cup", 10, ball_in_cup::catch),
+    entry("cartpole_balance", "cartpole", 1, cartpole::balance),
+    entry(
+        "cartpole_balance_sparse",
+        "cartpole",
+        1,
+        cartpole::balance_sparse,
+    ),
+    entry("cartpole_swingup", "cartpole", 1, cartpole::swingup),
+    entry(
+        "cartpole_swingup_sparse",
+        "cartpole",
+        1,
+        cartpole::swingup_sparse,
+    ),
+    entry("finger_turn_easy", "finger", 2, finger::turn_easy),
+    entry("finger_turn_hard", "finger", 2, finger::turn_hard),
+    entry("fish_swim", "fish", 10, fish::swim),
+    entry("fish_upright", "fish", 10, fish::upright),
+    entry("hopper_hop", "hopper", 4, hopper::hop),
+    entry("humanoid_run", "humanoid", 5, humanoid::run),
+    entry("humanoid_stand", "humanoid", 5, humanoid::stand),
+    entry("humanoid_walk", "humanoid", 5, humanoid::walk),
+    entry("pendulum_swingup", "pendulum", 1, pendulum::swingup),
+    entry("point_mass_easy", "point_mass", 1, point_mass::easy),
+    entry("reacher_easy", "reacher", 1, reacher::easy),
+    entry("reacher_hard", "reacher", 1, reacher::hard),
+    entry("walker_run", "walker", 10, walker::run),
+    entry("walker_stand", "walker", 10, walker::stand),
+];
+
+const fn entry(
+    id: &'static str,
+    domain: &'static str,
+    substeps: usize,
+    make: fn(&Physics) -> Result<Box<dyn Task>, ControlError>,
+) -> Entry {
+    Entry {
+        id,
+        domain,
+        substeps,
+        make,
+    }
+}
+
+/// Euclidean length.
+fn norm(vector: &[f64]) -> f64 {
+    vector.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+/// From `a` to `b`.
+fn difference(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [b[0] - a[0], b[1] - a[1], b[2] - a[2]]
+}
