@@ -36,7 +36,7 @@ pub enum ControlError {
         warnings: String,
     },
     /// The comparison with dm_control itself failed.
-    #[error("cannot {what}: {reason}")]
+    #[error("cannot {what} (needs Python 3 with venv and pip, and once the network): {reason}")]
     Peer {
         /// What was attempted.
         what: &'static str,

@@ -106,7 +106,7 @@ impl Peer {
         command.env("MUJOCO_GL", "disable");
         let output = command.output().map_err(|error| peer_error(&error))?;
         if !output.status.success() {
-            return Err(peer_error(&said(&output)));
+            return Err(peer_error(&said(output.status, &output.stderr)));
         }
         Ok(output.stdout)
     }

@@ -4,7 +4,7 @@ use std::fmt::Display;
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, ExitStatus};
 
 use crate::dmc::ControlError;
 
@@ -45,19 +45,23 @@ fn lock(folder: &Path) -> io::Result<File> {
 }
 
 fn run(command: &mut Command) -> Result<(), ControlError> {
-    let output = command.output().map_err(|error| failed(&error))?;
+    let output = command
+        .output()
+        .map_err(|error| failed(&format!("{}: {error}", command.get_program().display())))?;
     if output.status.success() {
         return Ok(());
     }
-    Err(failed(&said(&output)))
+    // venv complains on stdout.
+    let text = [output.stdout, output.stderr].concat();
+    Err(failed(&said(output.status, &text)))
 }
 
 /// The status of a failed command, and the end of what it said.
-pub(super) fn said(output: &Output) -> String {
-    let stderr = String::from_utf8_lossy(&output.stderr);
-    let lines: Vec<&str> = stderr.lines().collect();
+pub(super) fn said(status: ExitStatus, text: &[u8]) -> String {
+    let text = String::from_utf8_lossy(text);
+    let lines: Vec<&str> = text.lines().collect();
     let last = &lines[lines.len().saturating_sub(SAID_LINES)..];
-    format!("{}: {}", output.status, last.join("; "))
+    format!("{status}: {}", last.join("; "))
 }
 
 fn failed(reason: &dyn Display) -> ControlError {

@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use super::{Task, difference, norm};
+use super::{Made, Task, difference, norm};
 use crate::dmc::ControlError;
 use crate::dmc::physics::{Joint, Physics};
 use crate::dmc::random::RandomState;
@@ -16,15 +16,15 @@ struct Acrobot {
     sparse: bool,
 }
 
-pub(super) fn swingup(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
+pub(super) fn swingup(physics: &Physics) -> Made {
     new(physics, false)
 }
 
-pub(super) fn swingup_sparse(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
+pub(super) fn swingup_sparse(physics: &Physics) -> Made {
     new(physics, true)
 }
 
-fn new(physics: &Physics, sparse: bool) -> Result<Box<dyn Task>, ControlError> {
+fn new(physics: &Physics, sparse: bool) -> Made {
     Ok(Box::new(Acrobot {
         shoulder: physics.joint("shoulder")?,
         elbow: physics.joint("elbow")?,

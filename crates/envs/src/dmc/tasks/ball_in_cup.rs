@@ -1,6 +1,6 @@
 //! A planar cup that catches the ball on its string.
 
-use super::{Task, joints};
+use super::{Made, Task, joints};
 use crate::dmc::ControlError;
 use crate::dmc::physics::{Joint, Physics};
 use crate::dmc::random::RandomState;
@@ -14,7 +14,7 @@ struct BallInCup {
     target: usize,
 }
 
-pub(super) fn catch(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
+pub(super) fn catch(physics: &Physics) -> Made {
     Ok(Box::new(BallInCup {
         ball: physics.body("ball")?,
         ball_geom: physics.geom("ball")?,

@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use super::Task;
+use super::{Made, Task};
 use crate::dmc::ControlError;
 use crate::dmc::physics::{Joint, Physics};
 use crate::dmc::random::RandomState;
@@ -16,23 +16,23 @@ struct Cartpole {
     sparse: bool,
 }
 
-pub(super) fn balance(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
+pub(super) fn balance(physics: &Physics) -> Made {
     new(physics, false, false)
 }
 
-pub(super) fn balance_sparse(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
+pub(super) fn balance_sparse(physics: &Physics) -> Made {
     new(physics, false, true)
 }
 
-pub(super) fn swingup(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
+pub(super) fn swingup(physics: &Physics) -> Made {
     new(physics, true, false)
 }
 
-pub(super) fn swingup_sparse(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
+pub(super) fn swingup_sparse(physics: &Physics) -> Made {
     new(physics, true, true)
 }
 
-fn new(physics: &Physics, swings_up: bool, sparse: bool) -> Result<Box<dyn Task>, ControlError> {
+fn new(physics: &Physics, swings_up: bool, sparse: bool) -> Made {
     Ok(Box::new(Cartpole {
         slider: physics.joint("slider")?,
         hinge: physics.joint("hinge_1")?,

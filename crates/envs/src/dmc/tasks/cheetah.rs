@@ -1,6 +1,6 @@
 //! A planar cheetah that runs.
 
-use super::{Task, joints};
+use super::{Made, Task, joints};
 use crate::dmc::ControlError;
 use crate::dmc::physics::Physics;
 use crate::dmc::random::RandomState;
@@ -14,7 +14,7 @@ struct Cheetah {
     velocity: usize,
 }
 
-pub(super) fn run(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
+pub(super) fn run(physics: &Physics) -> Made {
     Ok(Box::new(Cheetah {
         velocity: physics.sensor("torso_subtreelinvel")?,
     }))

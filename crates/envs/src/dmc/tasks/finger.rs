@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use super::{Task, joints, norm};
+use super::{Made, Task, joints, norm};
 use crate::dmc::ControlError;
 use crate::dmc::physics::{Joint, Physics};
 use crate::dmc::random::RandomState;
@@ -18,7 +18,7 @@ struct Spin {
     tip: usize,
 }
 
-pub(super) fn spin(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
+pub(super) fn spin(physics: &Physics) -> Made {
     Ok(Box::new(Spin {
         hinge: physics.joint("hinge")?,
         velocity: physics.sensor("hinge_velocity")?,
@@ -56,15 +56,7 @@ struct Turn {
     tip_sensor: usize,
 }
 
-pub(super) fn turn_easy(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
-    turn(physics, 0.07)
-}
-
-pub(super) fn turn_hard(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
-    turn(physics, 0.03)
-}
-
-fn turn(physics: &Physics, target_radius_m: f64) -> Result<Box<dyn Task>, ControlError> {
+pub(super) fn turn(physics: &Physics, target_radius_m: f64) -> Made {
     Ok(Box::new(Turn {
         hinge: physics.joint("hinge")?,
         cap: physics.geom("cap1")?,

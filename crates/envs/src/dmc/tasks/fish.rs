@@ -1,6 +1,6 @@
 //! A fish that swims upright, or to a target.
 
-use super::{Task, difference, joints, norm};
+use super::{Made, Task, difference, joints, norm};
 use crate::dmc::ControlError;
 use crate::dmc::physics::{Joint, Physics};
 use crate::dmc::random::RandomState;
@@ -26,15 +26,15 @@ struct Fish {
     swims: bool,
 }
 
-pub(super) fn upright(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
+pub(super) fn upright(physics: &Physics) -> Made {
     new(physics, false)
 }
 
-pub(super) fn swim(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
+pub(super) fn swim(physics: &Physics) -> Made {
     new(physics, true)
 }
 
-fn new(physics: &Physics, swims: bool) -> Result<Box<dyn Task>, ControlError> {
+fn new(physics: &Physics, swims: bool) -> Made {
     let root = physics.joint("root")?;
     let mut joints = [root; JOINTS.len()];
     for (joint, name) in joints.iter_mut().zip(JOINTS) {

@@ -1,9 +1,7 @@
 //! A planar one-legged hopper that stands or hops.
 
-use super::{Task, joints};
-use crate::dmc::ControlError;
+use super::{Made, Task};
 use crate::dmc::physics::Physics;
-use crate::dmc::random::RandomState;
 use crate::dmc::rewards::{Falloff, at_least, small_control, within};
 
 /// Height of the torso above the foot that counts as standing.
@@ -19,15 +17,15 @@ struct Hopper {
     hops: bool,
 }
 
-pub(super) fn stand(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
+pub(super) fn stand(physics: &Physics) -> Made {
     new(physics, false)
 }
 
-pub(super) fn hop(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
+pub(super) fn hop(physics: &Physics) -> Made {
     new(physics, true)
 }
 
-fn new(physics: &Physics, hops: bool) -> Result<Box<dyn Task>, ControlError> {
+fn new(physics: &Physics, hops: bool) -> Made {
     Ok(Box::new(Hopper {
         torso: physics.body("torso")?,
         foot: physics.body("foot")?,
@@ -37,15 +35,6 @@ fn new(physics: &Physics, hops: bool) -> Result<Box<dyn Task>, ControlError> {
 }
 
 impl Task for Hopper {
-    fn start(
-        &mut self,
-        physics: &mut Physics,
-        random: &mut RandomState,
-    ) -> Result<(), ControlError> {
-        joints::randomize(physics, random);
-        Ok(())
-    }
-
     fn reward(&self, physics: &Physics) -> f64 {
         let data = physics.data();
         let height = data.xipos()[self.torso][2] - data.xipos()[self.foot][2];

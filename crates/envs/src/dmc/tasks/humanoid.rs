@@ -1,6 +1,6 @@
 //! A humanoid that stands, walks or runs.
 
-use super::{Task, joints, norm};
+use super::{Made, Task, joints, norm};
 use crate::dmc::ControlError;
 use crate::dmc::physics::Physics;
 use crate::dmc::random::RandomState;
@@ -13,23 +13,11 @@ struct Humanoid {
     torso: usize,
     head: usize,
     velocity: usize,
-    /// Speed to reach; none for standing.
     speed_m_s: Option<f64>,
 }
 
-pub(super) fn stand(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
-    new(physics, None)
-}
-
-pub(super) fn walk(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
-    new(physics, Some(1.0))
-}
-
-pub(super) fn run(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
-    new(physics, Some(10.0))
-}
-
-fn new(physics: &Physics, speed_m_s: Option<f64>) -> Result<Box<dyn Task>, ControlError> {
+/// At `speed_m_s`, or standing without one.
+pub(super) fn new(physics: &Physics, speed_m_s: Option<f64>) -> Made {
     Ok(Box::new(Humanoid {
         torso: physics.body("torso")?,
         head: physics.body("head")?,

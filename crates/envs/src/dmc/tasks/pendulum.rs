@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use super::Task;
+use super::{Made, Task};
 use crate::dmc::ControlError;
 use crate::dmc::physics::{Joint, Physics};
 use crate::dmc::random::RandomState;
@@ -16,7 +16,7 @@ struct Pendulum {
     pole: usize,
 }
 
-pub(super) fn swingup(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
+pub(super) fn swingup(physics: &Physics) -> Made {
     Ok(Box::new(Pendulum {
         hinge: physics.joint("hinge")?,
         pole: physics.body("pole")?,

@@ -1,9 +1,7 @@
 //! A mass on a plane that is moved to the middle.
 
-use super::{Task, difference, joints, norm};
-use crate::dmc::ControlError;
+use super::{Made, Task, difference, norm};
 use crate::dmc::physics::Physics;
-use crate::dmc::random::RandomState;
 use crate::dmc::rewards::{DEFAULT, near, small_control};
 
 struct PointMass {
@@ -11,7 +9,7 @@ struct PointMass {
     target: usize,
 }
 
-pub(super) fn easy(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
+pub(super) fn easy(physics: &Physics) -> Made {
     Ok(Box::new(PointMass {
         mass: physics.geom("pointmass")?,
         target: physics.geom("target")?,
@@ -19,15 +17,6 @@ pub(super) fn easy(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
 }
 
 impl Task for PointMass {
-    fn start(
-        &mut self,
-        physics: &mut Physics,
-        random: &mut RandomState,
-    ) -> Result<(), ControlError> {
-        joints::randomize(physics, random);
-        Ok(())
-    }
-
     fn reward(&self, physics: &Physics) -> f64 {
         let place = |geom: usize| physics.data().geom_xpos()[geom];
         let distance = norm(&difference(place(self.mass), place(self.target)));

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use super::{Task, joints, norm};
+use super::{Made, Task, joints, norm};
 use crate::dmc::ControlError;
 use crate::dmc::physics::Physics;
 use crate::dmc::random::RandomState;
@@ -14,15 +14,7 @@ struct Reacher {
     target_radius_m: f64,
 }
 
-pub(super) fn easy(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
-    new(physics, 0.05)
-}
-
-pub(super) fn hard(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
-    new(physics, 0.015)
-}
-
-fn new(physics: &Physics, target_radius_m: f64) -> Result<Box<dyn Task>, ControlError> {
+pub(super) fn new(physics: &Physics, target_radius_m: f64) -> Made {
     Ok(Box::new(Reacher {
         finger: physics.geom("finger")?,
         target: physics.geom("target")?,

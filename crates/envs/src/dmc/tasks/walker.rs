@@ -1,9 +1,7 @@
 //! A planar walker that stands, walks or runs.
 
-use super::{Task, joints};
-use crate::dmc::ControlError;
+use super::{Made, Task};
 use crate::dmc::physics::Physics;
-use crate::dmc::random::RandomState;
 use crate::dmc::rewards::{DEFAULT, Falloff, at_least};
 
 /// Height of a torso that stands.
@@ -12,23 +10,11 @@ const STAND_M: f64 = 1.2;
 struct Walker {
     torso: usize,
     velocity: usize,
-    /// Speed to reach; none for standing.
     speed_m_s: Option<f64>,
 }
 
-pub(super) fn stand(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
-    new(physics, None)
-}
-
-pub(super) fn walk(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
-    new(physics, Some(1.0))
-}
-
-pub(super) fn run(physics: &Physics) -> Result<Box<dyn Task>, ControlError> {
-    new(physics, Some(8.0))
-}
-
-fn new(physics: &Physics, speed_m_s: Option<f64>) -> Result<Box<dyn Task>, ControlError> {
+/// At `speed_m_s`, or standing without one.
+pub(super) fn new(physics: &Physics, speed_m_s: Option<f64>) -> Made {
     Ok(Box::new(Walker {
         torso: physics.body("torso")?,
         velocity: physics.sensor("torso_subtreelinvel")?,
@@ -37,15 +23,6 @@ fn new(physics: &Physics, speed_m_s: Option<f64>) -> Result<Box<dyn Task>, Contr
 }
 
 impl Task for Walker {
-    fn start(
-        &mut self,
-        physics: &mut Physics,
-        random: &mut RandomState,
-    ) -> Result<(), ControlError> {
-        joints::randomize(physics, random);
-        Ok(())
-    }
-
     fn reward(&self, physics: &Physics) -> f64 {
         let height = physics.data().xpos()[self.torso][2];
         let standing = at_least(height, STAND_M, STAND_M / 2.0, DEFAULT);
