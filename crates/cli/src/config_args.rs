@@ -9,7 +9,7 @@ use isodream_core::config::{ConfigError, Source};
 /// Defaults < preset < file < single settings.
 #[derive(Debug, Clone, Default, Args)]
 pub(crate) struct ConfigArgs {
-    /// Preset: paper, quick or debug
+    /// Preset: paper, paper-dmc, quick or debug
     #[arg(long)]
     pub(crate) preset: Option<String>,
     /// A TOML file

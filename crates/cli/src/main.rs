@@ -5,6 +5,7 @@
 
 mod bench;
 mod config_args;
+mod env;
 mod eval;
 mod imagine;
 mod output;
@@ -42,6 +43,9 @@ enum Command {
     Imagine(imagine::ImagineArgs),
     /// Draw the learning curves of runs
     Report(report::ReportArgs),
+    /// Look at environments, and measure them
+    #[command(subcommand)]
+    Env(env::EnvCommand),
     /// Measure how fast the parts are on this machine
     #[command(subcommand)]
     Bench(bench::BenchCommand),
@@ -64,7 +68,7 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         let _ = tuning::ensure();
     }
     let filter = match &command {
-        Command::Train(_) => "warn",
+        Command::Train(_) | Command::Env(_) => "warn",
         _ => "info",
     };
     init_logging(filter, LogFormat::Text)?;
@@ -79,6 +83,7 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         Command::Eval(args) => eval::run(&args),
         Command::Imagine(args) => imagine::run(&args),
         Command::Report(args) => report::run(&args),
+        Command::Env(command) => env::run(&command),
         Command::Bench(command) => bench::run(&command),
     };
     finish(result.map(|()| ExitCode::SUCCESS), runtime)

@@ -2,6 +2,7 @@
 //!
 //! This crate knows no network, no tensors and none of Isodream's own types, so that every role can use it.
 
+mod animation;
 mod error;
 mod font;
 mod jsonl;
@@ -11,6 +12,7 @@ mod picture;
 mod tensorboard;
 mod video;
 
+pub use animation::write_gif;
 pub use error::{Error, Result};
 pub use logging::{LOG_FILTER_VARIABLE, LogFormat, init_logging};
 pub use metrics::{MetricsWriter, ResumePoint};

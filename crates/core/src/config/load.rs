@@ -10,6 +10,7 @@ use super::Config;
 /// Names of the presets and their settings over the defaults.
 pub const PRESETS: &[(&str, &str)] = &[
     ("paper", include_str!("../../presets/paper.toml")),
+    ("paper-dmc", include_str!("../../presets/paper-dmc.toml")),
     ("quick", include_str!("../../presets/quick.toml")),
     ("debug", include_str!("../../presets/debug.toml")),
 ];

@@ -1,0 +1,112 @@
+//! `isodream env bench`: frames per second with a picture each, and simulator steps per second without.
+
+use std::time::Instant;
+
+use anyhow::ensure;
+use clap::Args;
+use isodream_envs::{Environment, RandomDriver, ScriptedDriver, ids, make};
+use serde::Serialize;
+
+use super::env_config;
+use crate::output::print_result;
+
+/// Simulator steps between two pictures where pictures are not to count.
+const BLIND_REPEAT: u32 = 200;
+
+/// Options of `isodream env bench`.
+#[derive(Debug, Args)]
+pub(crate) struct BenchArgs {
+    /// Ids of environments; all by default
+    ids: Vec<String>,
+    /// Seconds spent on each measurement
+    #[arg(long, default_value_t = 1.0)]
+    seconds: f64,
+    /// A setting of the environments, for example env.vehicles=10; may be repeated
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Print JSON instead of a table
+    #[arg(long)]
+    json: bool,
+}
+
+/// One environment on one core.
+#[derive(Debug, Serialize)]
+struct EnvBench {
+    id: String,
+    /// Simulator steps with a picture each.
+    frames_per_s: f64,
+    /// Simulator steps without pictures.
+    steps_per_s: f64,
+    /// The reference implementation's `frames_per_s`, where it was measured in the same run.
+    peer_frames_per_s: Option<f64>,
+}
+
+/// Runs the command.
+pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
+    ensure!(
+        args.seconds > 0.0,
+        "--seconds {}: must be above 0",
+        args.seconds
+    );
+    let chosen: Vec<String> = if args.ids.is_empty() {
+        ids().iter().map(|id| (*id).to_owned()).collect()
+    } else {
+        args.ids.clone()
+    };
+    let mut results = Vec::new();
+    for id in chosen {
+        results.push(EnvBench {
+            frames_per_s: rate(&id, 1, args)?,
+            steps_per_s: rate(&id, BLIND_REPEAT, args)?,
+            peer_frames_per_s: None,
+            id,
+        });
+    }
+    print_result(&results, args.json, |results| table(results))
+}
+
+/// Simulator steps per second with a picture for every `repeat` of them.
+fn rate(id: &str, repeat: u32, args: &BenchArgs) -> anyhow::Result<f64> {
+    let mut config = env_config(id, &args.set)?;
+    config.action_repeat = repeat;
+    config.time_limit = u32::MAX;
+    let mut env = make(&config)?;
+    let mut seed = 0;
+    env.reset(seed)?;
+    // Random driving soon leaves the road, and resets would be measured.
+    let mut driver = match env.privileged() {
+        Some(_) => ScriptedDriver::KeepLane.driver(seed),
+        None => Box::new(RandomDriver::new(seed)),
+    };
+    let (mut steps, mut seconds) = (0_u64, 0.0);
+    while seconds < args.seconds {
+        let action = driver.act(env.as_ref())?;
+        let begun = Instant::now();
+        let is_last = env.step(&action)?.is_last;
+        seconds += begun.elapsed().as_secs_f64();
+        steps += u64::from(repeat);
+        if is_last {
+            seed += 1;
+            env.reset(seed)?;
+        }
+    }
+    Ok(steps as f64 / seconds)
+}
+
+fn table(results: &[EnvBench]) -> String {
+    let width = results.iter().map(|r| r.id.len()).max().unwrap_or(0);
+    let mut lines = vec![format!(
+        "{:<width$} {:>10} {:>10} {:>8}",
+        "id", "frames/s", "steps/s", "peer"
+    )];
+    lines.extend(results.iter().map(|result| {
+        let peer = result
+            .peer_frames_per_s
+            .map_or_else(|| "-".to_owned(), |rate| format!("{rate:.0}"));
+        format!(
+            "{:<width$} {:>10.0} {:>10.0} {peer:>8}",
+            result.id, result.frames_per_s, result.steps_per_s
+        )
+    }));
+    lines.join("\n")
+}

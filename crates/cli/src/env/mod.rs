@@ -1,0 +1,46 @@
+//! `isodream env`: the worlds themselves, without learning.
+
+mod bench;
+mod list;
+mod play;
+
+use clap::Subcommand;
+use isodream_core::Config;
+use isodream_core::config::{EnvConfig, Source};
+
+/// What to do with environments.
+#[derive(Debug, Subcommand)]
+pub(crate) enum EnvCommand {
+    /// The ids of all environments
+    List(list::ListArgs),
+    /// Watch an episode: a video, an animation or a contact sheet
+    Play(play::PlayArgs),
+    /// Frames and simulator steps per second
+    Bench(bench::BenchArgs),
+}
+
+/// Runs the command.
+pub(crate) fn run(command: &EnvCommand) -> anyhow::Result<()> {
+    match command {
+        EnvCommand::List(args) => list::run(args),
+        EnvCommand::Play(args) => play::run(args),
+        EnvCommand::Bench(args) => bench::run(args),
+    }
+}
+
+/// The paper's settings for the environment `id`, with `set` over them.
+fn env_config(id: &str, set: &[String]) -> anyhow::Result<EnvConfig> {
+    let preset = if id.starts_with("dmc/") {
+        "paper-dmc"
+    } else {
+        "paper"
+    };
+    let mut all = set.to_vec();
+    all.push(format!("env.id=\"{id}\""));
+    let config = Config::load(&Source {
+        preset: Some(preset.to_owned()),
+        file: None,
+        set: all,
+    })?;
+    Ok(config.env)
+}
