@@ -17,17 +17,27 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::print_stdout))]
 
+mod backgrounds;
 #[cfg(feature = "mujoco")]
 pub mod dmc;
 mod driver;
 mod environment;
 mod error;
+#[cfg(test)]
+mod fixture;
 mod geometry;
 mod highway;
+mod id;
 mod registry;
 mod render;
+mod resize;
+mod vector;
 
+pub use backgrounds::{
+    BackgroundPlayer, BackgroundSource, Backgrounds, VideoOrder, VideoSet, compose, is_background,
+};
 pub use driver::{Driver, KeepLaneDriver, OvertakeDriver, RandomDriver, ScriptedDriver};
 pub use environment::{EndReason, Environment, NearbyVehicle, PrivilegedView, Transition, class};
-pub use error::EnvError;
+pub use error::{EnvError, RemoteFault};
 pub use registry::{ids, make, spec};
+pub use vector::{NextEpisode, VectorEnvironment, VectorStep};

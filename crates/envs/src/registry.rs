@@ -1,29 +1,53 @@
 //! Environments by id.
 
+use std::sync::LazyLock;
+
 use isodream_core::config::EnvConfig;
 use isodream_core::{EnvSpec, ImageShape};
 
-use crate::highway::Highway;
-use crate::render::Light;
+use crate::highway::family::HIGHWAY;
+use crate::id::{EnvId, nearest};
 use crate::{EnvError, Environment};
 
-const IDS: &[&str] = &["highway/day", "highway/night"];
+/// Worlds that are made alike. Another family is another row of [`FAMILIES`].
+pub(crate) struct Family {
+    /// First part of its ids.
+    pub(crate) name: &'static str,
+    /// Its ids without the first part, in the order they are listed in.
+    pub(crate) worlds: fn() -> Vec<String>,
+    /// Dimensions of the action, after checking what only this family knows; the id is one of its own.
+    pub(crate) action_dim: fn(EnvId<'_>, &EnvConfig) -> Result<usize, EnvError>,
+    /// Makes the world whose spec was found valid.
+    pub(crate) make: fn(EnvId<'_>, &EnvConfig, EnvSpec) -> Made,
+}
 
-/// More cars than this do not fit into the traffic's window.
-const MAX_VEHICLES: u32 = 60;
+/// An environment, unless it could not be made.
+type Made = Result<Box<dyn Environment>, EnvError>;
+
+const FAMILIES: &[&Family] = &[&HIGHWAY];
+
+static IDS: LazyLock<Vec<String>> = LazyLock::new(|| {
+    let ids = FAMILIES.iter().map(|family| {
+        let worlds = (family.worlds)().into_iter();
+        worlds.map(|world| format!("{}/{world}", family.name))
+    });
+    ids.flatten().collect()
+});
+
+static NAMES: LazyLock<Vec<&str>> = LazyLock::new(|| IDS.iter().map(String::as_str).collect());
 
 /// The ids that [`make`] knows.
 pub fn ids() -> &'static [&'static str] {
-    IDS
+    &NAMES
 }
 
 /// Makes the environment that `config` describes.
 ///
 /// # Errors
-/// If the id is unknown or a value is out of range.
+/// If the id is unknown (its nearest known ids are named) or a value is out of range.
 pub fn make(config: &EnvConfig) -> Result<Box<dyn Environment>, EnvError> {
-    let light = light(&config.id)?;
-    Ok(Box::new(Highway::new(config, spec(config)?, light)))
+    let (family, id) = find(&config.id)?;
+    (family.make)(id, config, spec(config)?)
 }
 
 /// The spec of the environment that `config` describes, without making it.
@@ -31,56 +55,44 @@ pub fn make(config: &EnvConfig) -> Result<Box<dyn Environment>, EnvError> {
 /// # Errors
 /// As [`make`].
 pub fn spec(config: &EnvConfig) -> Result<EnvSpec, EnvError> {
-    light(&config.id)?;
+    let (family, id) = find(&config.id)?;
+    let size = config.image_size;
     require(
-        (8..=1024).contains(&config.image_size),
+        (8..=1024).contains(&size),
         "image_size",
-        &config.image_size,
+        &size,
         "between 8 and 1024",
     )?;
-    require(
-        config.action_repeat >= 1,
-        "action_repeat",
-        &config.action_repeat,
-        "at least 1",
-    )?;
-    require(
-        config.time_limit >= 1,
-        "time_limit",
-        &config.time_limit,
-        "at least 1",
-    )?;
-    require(
-        config.vehicles <= MAX_VEHICLES,
-        "vehicles",
-        &config.vehicles,
-        "at most 60",
-    )?;
+    let repeat = config.action_repeat;
+    require(repeat >= 1, "action_repeat", &repeat, "at least 1")?;
+    let limit = config.time_limit;
+    require(limit >= 1, "time_limit", &limit, "at least 1")?;
     Ok(EnvSpec {
         id: config.id.clone(),
         image: ImageShape {
-            height: config.image_size,
-            width: config.image_size,
+            height: size,
+            width: size,
             channels: 3,
         },
-        action_dim: Highway::ACTION_DIM,
-        action_repeat: config.action_repeat,
-        time_limit: config.time_limit,
+        action_dim: (family.action_dim)(id, config)?,
+        action_repeat: repeat,
+        time_limit: limit,
     })
 }
 
-fn light(id: &str) -> Result<Light, EnvError> {
-    match id {
-        "highway/day" => Ok(Light::Day),
-        "highway/night" => Ok(Light::Night),
-        _ => Err(EnvError::UnknownId {
+fn find(id: &str) -> Result<(&'static Family, EnvId<'_>), EnvError> {
+    let known = ids().contains(&id).then(|| EnvId::parse(id)).flatten();
+    let family = |id: &EnvId<'_>| FAMILIES.iter().find(|family| family.name == id.family);
+    known
+        .and_then(|parsed| Some((*family(&parsed)?, parsed)))
+        .ok_or_else(|| EnvError::UnknownId {
             id: id.to_owned(),
-            known: IDS.join(", "),
-        }),
-    }
+            nearest: nearest(id, ids()).join(", "),
+        })
 }
 
-fn require(
+/// Refuses a `value` of the configuration's `field` unless it `holds` what is `expected`.
+pub(crate) fn require(
     holds: bool,
     field: &'static str,
     value: &impl ToString,
@@ -94,4 +106,38 @@ fn require(
         value: value.to_string(),
         expected,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn with_id(id: &str) -> EnvConfig {
+        EnvConfig {
+            id: id.into(),
+            ..EnvConfig::default()
+        }
+    }
+
+    #[test]
+    fn every_listed_id_is_made_under_its_own_name() {
+        for id in ids() {
+            let env = make(&with_id(id)).unwrap();
+            assert_eq!(env.spec(), &spec(&with_id(id)).unwrap());
+            assert_eq!(env.spec().id, *id);
+        }
+        let mut sorted = ids().to_vec();
+        sorted.sort_unstable();
+        sorted.dedup();
+        assert_eq!(sorted.len(), ids().len(), "an id is listed twice");
+    }
+
+    #[test]
+    fn an_unknown_id_names_its_nearest() {
+        for id in ["highway/nihgt", "highway/night/x", "night", ""] {
+            let error = make(&with_id(id)).err().unwrap();
+            assert!(error.to_string().contains("highway/night"), "{id}: {error}");
+            assert!(error.to_string().contains("isodream env list"), "{error}");
+        }
+    }
 }

@@ -113,7 +113,10 @@ impl Kind {
             Some("mp4") => Ok(Self::Video),
             Some("gif") => Ok(Self::Animation),
             Some("png") => Ok(Self::Sheet),
-            _ => bail!("--out {}: the name must end in .mp4, .gif or .png", path.display()),
+            _ => bail!(
+                "--out {}: the name must end in .mp4, .gif or .png",
+                path.display()
+            ),
         }
     }
 }
@@ -143,6 +146,10 @@ fn sheet(frames: &[Rgb]) -> Rgb {
 
 /// Agent steps per simulated second: both families simulate 20 to 50 frames in it.
 fn frames_per_s(id: &str, action_repeat: u32) -> f64 {
-    let simulated = if id.starts_with("highway/") { 20.0 } else { 50.0 };
+    let simulated = if id.starts_with("highway/") {
+        20.0
+    } else {
+        50.0
+    };
     (simulated / f64::from(action_repeat)).max(1.0)
 }

@@ -22,6 +22,7 @@ use self::physics::Physics;
 use self::random::RandomState;
 use self::tasks::{Entry, TASKS, Task};
 use crate::EnvError;
+use crate::id::nearest;
 
 /// Names another folder to read the models from.
 pub const SUITE_DIR_VARIABLE: &str = "ISODREAM_SUITE_DIR";
@@ -75,7 +76,7 @@ impl ControlTask {
         let entry = TASKS.iter().find(|entry| entry.id == id);
         let entry = entry.ok_or_else(|| EnvError::UnknownId {
             id: id.to_owned(),
-            known: ids().collect::<Vec<_>>().join(", "),
+            nearest: nearest(id, &ids().collect::<Vec<_>>()).join(", "),
         })?;
         let physics = Physics::load(&suite.join(format!("{}.xml", entry.domain)))?;
         let task = (entry.make)(&physics)?;

@@ -6,6 +6,7 @@
 mod car;
 mod collision;
 mod ego;
+pub(crate) mod family;
 mod following;
 mod lane_change;
 mod metrics;
