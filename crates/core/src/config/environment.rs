@@ -12,6 +12,27 @@ pub enum RepeatReward {
     Sum,
 }
 
+impl RepeatReward {
+    /// The reward of an agent step from the sum over the `frames` that it lasted.
+    pub fn combine(self, sum: f64, frames: u32) -> f32 {
+        let reward = match self {
+            Self::Mean => sum / f64::from(frames.max(1)),
+            Self::Sum => sum,
+        };
+        reward as f32
+    }
+}
+
+/// Which background video an episode shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BackgroundOrder {
+    /// The episode's seed decides: the same seed shows the same pictures anywhere.
+    Seeded,
+    /// One after the other, as DMC-GB does.
+    Sequential,
+}
+
 /// The environment and how it is stepped.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -28,6 +49,10 @@ pub struct EnvConfig {
     pub repeat_reward: RepeatReward,
     /// Other vehicles near the ego.
     pub vehicles: u32,
+    /// Folder with the MP4 files of video backgrounds; empty for the embedded patterns.
+    pub backgrounds: String,
+    /// Which of the videos an episode shows.
+    pub background_order: BackgroundOrder,
 }
 
 impl Default for EnvConfig {
@@ -39,6 +64,19 @@ impl Default for EnvConfig {
             time_limit: 250,
             repeat_reward: RepeatReward::Mean,
             vehicles: 30,
+            backgrounds: String::new(),
+            background_order: BackgroundOrder::Seeded,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn mean_and_sum() {
+        assert_eq!(RepeatReward::Mean.combine(2.0, 4), 0.5);
+        assert_eq!(RepeatReward::Sum.combine(2.0, 4), 2.0);
     }
 }

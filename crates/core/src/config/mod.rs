@@ -8,7 +8,7 @@ mod load;
 mod model;
 mod training;
 
-pub use environment::{EnvConfig, RepeatReward};
+pub use environment::{BackgroundOrder, EnvConfig, RepeatReward};
 pub use load::{ConfigError, PRESETS, Source};
 pub use model::{InverseInput, LossConfig, ModelConfig, VarianceLoss};
 pub use training::{

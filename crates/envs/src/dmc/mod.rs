@@ -35,6 +35,15 @@ pub fn ids() -> impl Iterator<Item = &'static str> {
     TASKS.iter().map(|entry| entry.id)
 }
 
+/// The row of the table for the task `id`.
+fn entry(id: &str) -> Result<&'static Entry, EnvError> {
+    let found = TASKS.iter().find(|entry| entry.id == id);
+    found.ok_or_else(|| EnvError::UnknownId {
+        id: id.to_owned(),
+        nearest: nearest(id, &ids().collect::<Vec<_>>()).join(", "),
+    })
+}
+
 /// One task of the suite with its simulation.
 ///
 /// Episodes have no end here: in the suite every one of them takes 1,000 control steps.
@@ -73,12 +82,17 @@ impl ControlTask {
     /// # Errors
     /// As there.
     pub fn load_from(id: &str, suite: &Path) -> Result<Self, EnvError> {
-        let entry = TASKS.iter().find(|entry| entry.id == id);
-        let entry = entry.ok_or_else(|| EnvError::UnknownId {
-            id: id.to_owned(),
-            nearest: nearest(id, &ids().collect::<Vec<_>>()).join(", "),
-        })?;
-        let physics = Physics::load(&suite.join(format!("{}.xml", entry.domain)))?;
+        let entry = entry(id)?;
+        let path = suite.join(format!("{}.xml", entry.domain));
+        let physics = Physics::load(&path)?;
+        let actions = physics.model().actuator_ctrlrange().len();
+        if actions != entry.actions {
+            return Err(ControlError::Model {
+                path,
+                reason: format!("it has {actions} actuators, expected {}", entry.actions),
+            }
+            .into());
+        }
         let task = (entry.make)(&physics)?;
         Ok(Self {
             entry,
@@ -101,7 +115,7 @@ impl ControlTask {
 
     /// Number of components of an action.
     pub fn action_dim(&self) -> usize {
-        self.physics.model().actuator_ctrlrange().len()
+        self.entry.actions
     }
 
     /// Starts the first episode of an environment that dm_control seeds with the lower 32 bits of `seed`.

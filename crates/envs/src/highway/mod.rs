@@ -118,7 +118,7 @@ impl Environment for Highway {
         let is_terminal = end_reason.is_some_and(EndReason::is_terminal);
         Ok(Transition {
             image: self.renderer.render(world),
-            reward: reward::combine(sum, frames, self.repeat_reward),
+            reward: self.repeat_reward.combine(sum, frames),
             discount: if is_terminal { 0.0 } else { 1.0 },
             is_last: self.is_over,
             is_terminal,

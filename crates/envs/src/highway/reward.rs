@@ -1,7 +1,5 @@
 //! The reward of one simulator frame, with the weights of the Iso-Dream++ paper.
 
-use isodream_core::config::RepeatReward;
-
 use crate::geometry::Vec2;
 use crate::highway::ego::{DT, Ego};
 use crate::highway::road::Road;
@@ -28,15 +26,6 @@ pub(crate) fn lane_direction(road: &Road, ego: &Ego) -> Vec2 {
     road.tangent(ego.at.s + LOOK_AHEAD_M)
 }
 
-/// The reward of an agent step from those of the frames that it lasted.
-pub(crate) fn combine(sum: f64, frames: u32, how: RepeatReward) -> f32 {
-    let reward = match how {
-        RepeatReward::Mean => sum / f64::from(frames.max(1)),
-        RepeatReward::Sum => sum,
-    };
-    reward as f32
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -47,12 +36,6 @@ mod tests {
         let velocity = Vec2::from_angle(60.0_f64.to_radians()) * 20.0;
         let reward = frame_reward(velocity, Vec2::new(1.0, 0.0), 3_000.0, -0.25);
         assert!((reward + 0.05).abs() < 1e-12, "{reward}");
-    }
-
-    #[test]
-    fn mean_and_sum() {
-        assert_eq!(combine(2.0, 4, RepeatReward::Mean), 0.5);
-        assert_eq!(combine(2.0, 4, RepeatReward::Sum), 2.0);
     }
 
     #[test]
