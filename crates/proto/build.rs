@@ -7,6 +7,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             "isodream/v1/common.proto",
             "isodream/v1/replay.proto",
             "isodream/v1/learner.proto",
+            "isodream/v1/environment.proto",
         ],
         ["../../proto"],
     )?;

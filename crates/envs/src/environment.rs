@@ -73,15 +73,35 @@ pub enum EndReason {
     Stuck,
     /// The agent steps are used up; not terminal.
     TimeLimit,
+    /// A world of another process ended the episode, for a reason that has no name here.
+    Ended,
 }
 
 impl EndReason {
+    const ALL: [Self; 4] = [Self::OffRoad, Self::Stuck, Self::TimeLimit, Self::Ended];
+
+    /// The reason of this name; for a name that nobody here knows, the nearest one that agrees with
+    /// `is_terminal`.
+    pub fn named(name: &str, is_terminal: bool) -> Self {
+        let mut known = Self::ALL
+            .into_iter()
+            .filter(|reason| reason.is_terminal() == is_terminal);
+        known
+            .find(|reason| reason.as_str() == name)
+            .unwrap_or(if is_terminal {
+                Self::Ended
+            } else {
+                Self::TimeLimit
+            })
+    }
+
     /// Stable name, as in metrics and logs.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::OffRoad => "off_road",
             Self::Stuck => "stuck",
             Self::TimeLimit => "time_limit",
+            Self::Ended => "ended",
         }
     }
 

@@ -28,10 +28,12 @@ mod fixture;
 mod geometry;
 mod highway;
 mod id;
+mod noise;
 mod registry;
 mod render;
 mod resize;
 mod vector;
+mod wrappers;
 
 pub use backgrounds::{
     BackgroundPlayer, BackgroundSource, Backgrounds, VideoOrder, VideoSet, compose, is_background,
@@ -39,5 +41,7 @@ pub use backgrounds::{
 pub use driver::{Driver, KeepLaneDriver, OvertakeDriver, RandomDriver, ScriptedDriver};
 pub use environment::{EndReason, Environment, NearbyVehicle, PrivilegedView, Transition, class};
 pub use error::{EnvError, RemoteFault};
+pub use noise::{GaussianNoise, NoiseTarget};
 pub use registry::{ids, make, spec};
-pub use vector::{NextEpisode, VectorEnvironment, VectorStep};
+pub use vector::{NextEpisode, VectorEnvironment, VectorStep, common_spec};
+pub use wrappers::{ActionRepeat, Guard, Noisy, Resize, Statistics, TimeLimit, check_transition};

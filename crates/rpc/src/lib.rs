@@ -5,11 +5,13 @@
 //! - [`ServiceError`]: the one mapping between errors and gRPC status; [`is_refusal`] reads it back
 //! - [`shutdown_on_signal`], [`reconnect_delays`]
 //! - [`AppendClient`], [`SampleClient`]: the two ends of experience, which reconnect by themselves
+//! - [`EnvironmentServer`], [`RemoteEnvironment`]: environments for other processes, and in them
 
 mod append_client;
 mod append_link;
 mod backoff;
 mod channel;
+mod environment;
 mod error;
 pub mod limits;
 mod link_state;
@@ -22,6 +24,7 @@ mod spool;
 pub use append_client::{AppendClient, AppendOptions};
 pub use backoff::{reconnect_delays, retry};
 pub use channel::{channel, learner_client, replay_client};
+pub use environment::{EnvironmentServer, RemoteEnvironment, RemoteOptions};
 pub use error::{RpcError, ServiceError, is_refusal};
 pub use sample_client::{SampleClient, SampleOptions, SampledSequence};
 pub use server::{bind, serve, server, serving};

@@ -57,18 +57,7 @@ impl VectorEnvironment {
         seed: u64,
         threads: NonZeroUsize,
     ) -> Result<Self, EnvError> {
-        let Some(spec) = environments.first().map(|env| env.spec().clone()) else {
-            return Err(EnvError::EmptyVector);
-        };
-        for (index, env) in environments.iter().enumerate() {
-            if *env.spec() != spec {
-                return Err(EnvError::SpecsDiffer {
-                    index,
-                    expected: spec.to_string(),
-                    actual: env.spec().to_string(),
-                });
-            }
-        }
+        let spec = common_spec(&environments)?;
         let threads = threads.get().min(environments.len());
         let pool = Pool::new(threads).map_err(|error| EnvError::Threads {
             reason: error.to_string(),
@@ -179,6 +168,24 @@ impl VectorEnvironment {
             .map(|step| step.map(|(transition, next)| VectorStep { transition, next }))
             .collect()
     }
+}
+
+/// The spec of environments that are to be driven together.
+///
+/// # Errors
+/// If there is no environment, or if their specs differ.
+pub fn common_spec(environments: &[Box<dyn Environment>]) -> Result<EnvSpec, EnvError> {
+    let spec = environments.first().ok_or(EnvError::EmptyVector)?.spec();
+    for (index, env) in environments.iter().enumerate() {
+        if env.spec() != spec {
+            return Err(EnvError::SpecsDiffer {
+                index,
+                expected: spec.to_string(),
+                actual: env.spec().to_string(),
+            });
+        }
+    }
+    Ok(spec.clone())
 }
 
 #[cfg(test)]
