@@ -9,6 +9,8 @@ use crate::highway::family::HIGHWAY;
 use crate::id::{EnvId, nearest};
 use crate::{EnvError, Environment};
 
+type Make = fn(EnvId<'_>, &EnvConfig, EnvSpec) -> Result<Box<dyn Environment>, EnvError>;
+
 /// Worlds that are made alike. Another family is another row of [`FAMILIES`].
 pub(crate) struct Family {
     /// First part of its ids.
@@ -18,7 +20,7 @@ pub(crate) struct Family {
     /// Dimensions of the action, after checking what only this family knows; the id is one of its own.
     pub(crate) action_dim: fn(EnvId<'_>, &EnvConfig) -> Result<usize, EnvError>,
     /// Makes the world whose spec was found valid.
-    pub(crate) make: fn(EnvId<'_>, &EnvConfig, EnvSpec) -> Result<Box<dyn Environment>, EnvError>,
+    pub(crate) make: Make,
 }
 
 const FAMILIES: &[&Family] = &[&HIGHWAY];

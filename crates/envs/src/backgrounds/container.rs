@@ -153,6 +153,9 @@ fn child<'a>(content: &'a [u8], kind: &[u8; 4]) -> Result<&'a [u8], String> {
     Err(format!("its part `{name}` is missing"))
 }
 
+/// Kind and content.
+type Part<'a> = ([u8; 4], &'a [u8]);
+
 /// What is left to read.
 struct Reader<'a>(&'a [u8]);
 
@@ -170,7 +173,7 @@ impl<'a> Reader<'a> {
     }
 
     /// The next box and its content, or nothing at the end.
-    fn next_box(&mut self) -> Result<Option<([u8; 4], &'a [u8])>, String> {
+    fn next_box(&mut self) -> Result<Option<Part<'a>>, String> {
         if self.0.is_empty() {
             return Ok(None);
         }
