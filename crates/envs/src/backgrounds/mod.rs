@@ -97,6 +97,7 @@ impl Backgrounds {
             return Ok(backgrounds);
         }
         let backgrounds = Arc::new(Self::open(source, height, width)?);
+        shared.retain(|_, others| others.strong_count() > 0);
         shared.insert(key, Arc::downgrade(&backgrounds));
         Ok(backgrounds)
     }
