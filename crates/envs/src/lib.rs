@@ -1,6 +1,12 @@
 //! Environments: what a world must offer ([`Environment`]), the built-in highway simulator, and the
 //! scripted drivers that say what a return is worth.
 //!
+//! - [`ids`], [`spec`], [`make`]: worlds by their stable names
+//! - [`VectorEnvironment`]: many of them, stepped together
+//! - [`Guard`], [`Noisy`], [`Resize`], [`TimeLimit`], [`ActionRepeat`], [`Statistics`]: environments around
+//!   environments
+//! - [`Backgrounds`], [`BackgroundPlayer`]: videos behind rendered pictures
+//!
 //! ```
 //! use isodream_core::config::EnvConfig;
 //! use isodream_envs::{ScriptedDriver, make};

@@ -9,6 +9,8 @@ use crate::highway::family::HIGHWAY;
 use crate::id::{EnvId, nearest};
 use crate::{EnvError, Environment};
 
+type Make = fn(EnvId<'_>, &EnvConfig, EnvSpec) -> Result<Box<dyn Environment>, EnvError>;
+
 /// Worlds that are made alike. Another family is another row of [`FAMILIES`].
 pub(crate) struct Family {
     /// First part of its ids.
@@ -18,11 +20,8 @@ pub(crate) struct Family {
     /// Dimensions of the action, after checking what only this family knows; the id is one of its own.
     pub(crate) action_dim: fn(EnvId<'_>, &EnvConfig) -> Result<usize, EnvError>,
     /// Makes the world whose spec was found valid.
-    pub(crate) make: fn(EnvId<'_>, &EnvConfig, EnvSpec) -> Made,
+    pub(crate) make: Make,
 }
-
-/// An environment, unless it could not be made.
-type Made = Result<Box<dyn Environment>, EnvError>;
 
 const FAMILIES: &[&Family] = &[&HIGHWAY];
 

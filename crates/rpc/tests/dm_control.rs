@@ -2,7 +2,7 @@
 //!
 //! `cargo test -p isodream-rpc --test dm_control -- --ignored`
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};

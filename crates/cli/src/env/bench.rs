@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use anyhow::ensure;
 use clap::Args;
-use isodream_envs::{Environment, RandomDriver, ScriptedDriver, ids, make};
+use isodream_envs::{RandomDriver, ScriptedDriver, ids, make};
 use serde::Serialize;
 
 use super::env_config;

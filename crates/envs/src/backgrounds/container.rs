@@ -156,6 +156,9 @@ fn child<'a>(content: &'a [u8], kind: &[u8; 4]) -> Result<&'a [u8], String> {
     Err(format!("its part `{name}` is missing"))
 }
 
+/// Kind and content.
+type Part<'a> = ([u8; 4], &'a [u8]);
+
 /// What is left to read.
 struct Reader<'a>(&'a [u8]);
 

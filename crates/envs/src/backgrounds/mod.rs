@@ -45,8 +45,8 @@ pub(crate) trait Video: Send + Sync {
 
 /// An ordered set of videos, all of one size.
 ///
-/// Patterns take no memory. Files are decoded when they are first shown, and kept: 12 KB per frame of
-/// 64 x 64, which is 3 to 15 MB per clip of the benchmark.
+/// Patterns take no memory. Files are decoded when they are first shown, in less than a second each, and kept:
+/// 12 KB per frame of 64 x 64, which is 6 to 9 MB per clip of the benchmark.
 pub struct Backgrounds {
     height: usize,
     width: usize,
@@ -97,6 +97,7 @@ impl Backgrounds {
             return Ok(backgrounds);
         }
         let backgrounds = Arc::new(Self::open(source, height, width)?);
+        shared.retain(|_, others| others.strong_count() > 0);
         shared.insert(key, Arc::downgrade(&backgrounds));
         Ok(backgrounds)
     }

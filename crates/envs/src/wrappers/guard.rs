@@ -108,7 +108,8 @@ mod tests {
         let first = script.reset(0).unwrap();
         let spec = script.spec.clone();
         check_transition(&spec, 0, &first).unwrap();
-        let broken: [(u64, fn(&mut Transition)); 6] = [
+        type Change = fn(&mut Transition);
+        let broken: [(u64, Change); 6] = [
             (3, |row| row.reward = f32::INFINITY),
             (3, |row| row.discount = f32::NAN),
             (3, |row| row.discount = 1.5),

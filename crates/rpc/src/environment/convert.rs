@@ -162,7 +162,7 @@ mod tests {
         let broken: [fn(&mut EnvironmentSpec); 6] = [
             |spec| spec.height = 0,
             |spec| spec.width = u32::MAX,
-            |spec| spec.height = 100_000,
+            |spec| spec.height = 1_000_000,
             |spec| spec.action_dim = 0,
             |spec| spec.action_dim = 1_000_000,
             |spec| spec.time_limit = 0,

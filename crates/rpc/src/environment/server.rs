@@ -2,7 +2,6 @@
 
 use std::num::NonZeroUsize;
 use std::sync::Arc;
-use std::time::Duration;
 
 use isodream_core::EnvSpec;
 use isodream_envs::{EnvError, Environment};
@@ -24,10 +23,9 @@ use crate::{RpcError, ServiceError};
 
 /// Environments that are alike, for one client at a time.
 pub struct EnvironmentServer {
-    pub(super) worlds: Arc<Worlds>,
+    worlds: Arc<Worlds>,
     /// Held by the client that drives them.
     owner: Arc<Mutex<()>>,
-    hello_timeout: Duration,
 }
 
 /// What all sessions share.
@@ -57,7 +55,6 @@ impl EnvironmentServer {
                 threads: Arc::new(Semaphore::new(threads.get().min(Semaphore::MAX_PERMITS))),
             }),
             owner: Arc::default(),
-            hello_timeout: HELLO_TIMEOUT,
         })
     }
 
@@ -93,7 +90,7 @@ impl EnvironmentService for EnvironmentServer {
     ) -> Result<Response<Self::RunStream>, Status> {
         let peer = request.remote_addr();
         let mut requests = request.into_inner();
-        let first = tokio::time::timeout(self.hello_timeout, requests.message())
+        let first = tokio::time::timeout(HELLO_TIMEOUT, requests.message())
             .await
             .map_err(|_| ServiceError::Unavailable("no greeting came in time".to_owned()))??;
         let Some(Kind::Hello(hello)) = first.and_then(|request| request.kind) else {
