@@ -24,6 +24,7 @@ mod environment;
 mod error;
 mod geometry;
 mod highway;
+pub mod raycast;
 mod registry;
 mod render;
 
