@@ -1,6 +1,7 @@
 //! Planes, which MuJoCo draws as grids of quads and lights at the corners of these.
 
 use super::light::{Point, add, saturate, unlit};
+use super::maths::floor;
 use super::scene::{Geom, Light, Shape};
 use super::vec3::Vec3;
 
@@ -133,7 +134,7 @@ impl Lines {
         }
         let spacing = spacing.max(half / (CELLS - 2) as f32);
         // An even number of full cells, and what is left of the size at both ends.
-        let inner = (half / spacing).floor() as usize / 2 * 2;
+        let inner = (half / spacing) as usize / 2 * 2;
         let rest = half - inner as f32 * spacing;
         Self {
             ends: [-half, half],
@@ -153,8 +154,9 @@ impl Lines {
 
     /// The cell at `at`, and where in it that is, from 0 to 1.
     fn cell(&self, at: f32) -> (usize, f32) {
-        let inner = ((at - self.second) / self.pitch).floor();
-        let index = (inner + 1.0).clamp(0.0, (self.cells - 1) as f32) as usize;
+        let last = (self.cells - 1) as f32;
+        let inner = ((at - self.second) / self.pitch).clamp(-1.0, last);
+        let index = (floor(inner) + 1.0).min(last) as usize;
         let (left, right) = (self.line(index), self.line(index + 1));
         let width = right - left;
         let place = if width > 0.0 {

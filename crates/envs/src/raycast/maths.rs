@@ -1,4 +1,4 @@
-//! Powers and logarithms that give the same bits on every machine, which those of the C library do not.
+//! Powers, logarithms and rounding that give the same bits on every machine, which the C library does not promise.
 
 /// The binary logarithm of a positive number, to about 1e-6.
 pub(crate) fn log2(value: f32) -> f32 {
@@ -21,10 +21,17 @@ pub(crate) fn exp2(value: f32) -> f32 {
     if value < -126.0 {
         return 0.0;
     }
-    let whole = value.min(127.0).round();
+    let whole = floor(value.min(127.0) + 0.5);
     let x = (value.min(127.0) - whole) * std::f32::consts::LN_2;
     let series = 1.0 + x * (1.0 + x * (1.0 / 2.0 + x * (1.0 / 6.0 + x * (1.0 / 24.0 + x / 120.0))));
     f32::from_bits(((whole as i32 + 127) as u32) << 23) * series
+}
+
+/// The greatest whole number that is not above `value`, which has to fit in an `i32`. Unlike `f32::floor` it is
+/// not a call of a function on the plainest processors.
+pub(crate) fn floor(value: f32) -> f32 {
+    let whole = value as i32 as f32;
+    if whole > value { whole - 1.0 } else { whole }
 }
 
 /// `base` in `[0, 1]` to the power of `exponent >= 0`; 1 if both are 0.
@@ -58,5 +65,12 @@ mod tests {
         assert_eq!(power(0.0, 0.0), 1.0);
         assert_eq!(power(0.0, 64.0), 0.0);
         assert_eq!(power(1.0, 64.0), 1.0);
+    }
+
+    #[test]
+    fn floor_rounds_down() {
+        for value in [-2.0, -1.5, -0.25, -0.0, 0.0, 0.75, 1.0, 7.999] {
+            assert_eq!(floor(value), value.floor(), "{value}");
+        }
     }
 }

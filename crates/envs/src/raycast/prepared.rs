@@ -15,6 +15,8 @@ const FROM_BEHIND: f32 = 0.3;
 pub(crate) struct Prepared {
     /// The observer, seen from the geom.
     pub(crate) view: View,
+    /// The observer behind the mirror, seen from the geom.
+    pub(crate) mirrored: View,
     /// Corners of a box around it, in the world, unless it is endless.
     pub(crate) corners: Option<[Vec3; 8]>,
     /// A ball around it.
@@ -41,6 +43,7 @@ impl Prepared {
         let (centre, half) = bounds.unwrap_or_default();
         Self {
             view: local,
+            mirrored: local,
             corners,
             centre: geom.frame.position + geom.frame.to_world(centre),
             radius: bounds.map_or(f32::INFINITY, |_| half.norm()),

@@ -133,8 +133,7 @@ impl Renderer {
                     continue;
                 }
                 let view = &drawing.mirrored_view;
-                let local = view.seen_from(&drawing.geoms[index].frame);
-                let target = drawing.target(index, view, &local);
+                let target = drawing.target(index, view, &prepared.mirrored);
                 self.mirrored
                     .draw_mirrored(drawing.lens, &target, &self.scene, mirror);
             }
@@ -238,9 +237,9 @@ impl Renderer {
         match &drawing.mirror {
             Some(mirror) if mirrored != NOTHING => {
                 let index = usize::from(mirrored);
-                let local = drawing.mirrored_view.seen_from(&drawing.geoms[index].frame);
-                let at = drawing.place(&self.mirrored, &local, pixel, mirrored);
-                let view = (&drawing.mirrored_view, &local);
+                let local = &drawing.prepared[index].mirrored;
+                let at = drawing.place(&self.mirrored, local, pixel, mirrored);
+                let view = (&drawing.mirrored_view, local);
                 saturate(add(
                     own,
                     drawing.unshadowed(index, view, at, mirror.reflectance),
@@ -325,7 +324,7 @@ fn majority(votes: [u32; 3]) -> Class {
 impl<'a> Drawing<'a> {
     fn new(scene: &'a Scene, assets: &'a Assets, lens: &'a Lens) -> Self {
         let view = View::new(&scene.camera);
-        let prepared: Vec<_> = scene
+        let mut prepared: Vec<_> = scene
             .geoms
             .iter()
             .map(|geom| Prepared::new(geom, &assets.meshes, &view))
@@ -333,6 +332,9 @@ impl<'a> Drawing<'a> {
         let lights = &scene.lights[..scene.lights.len().min(LIGHTS)];
         let mirror = find_mirror(&scene.geoms, &prepared);
         let mirrored_view = mirror.map_or(view, |mirror| view.mirrored(&mirror.frame));
+        for (prepared, geom) in prepared.iter_mut().zip(&scene.geoms) {
+            prepared.mirrored = mirrored_view.seen_from(&geom.frame);
+        }
         let is_ground = |index: &usize| {
             matches!(scene.geoms[*index].shape, Shape::Plane { .. })
                 && !prepared[*index].transparent

@@ -151,10 +151,12 @@ impl Shape {
     }
 }
 
+#[inline(always)]
 fn entry([enter, leave]: [f32; 2]) -> f32 {
     if enter <= leave { enter } else { MISS }
 }
 
+#[inline(always)]
 fn unit_sphere(origin: Vec3, direction: Vec3) -> f32 {
     let square = direction.dot(direction);
     // The cross product keeps the digits which b^2 - 4ac loses for a small ball far away.
@@ -165,43 +167,41 @@ fn unit_sphere(origin: Vec3, direction: Vec3) -> f32 {
 }
 
 /// Where a line enters and leaves the endless cylinder around z.
+#[inline(always)]
 fn tube(origin: Vec3, direction: Vec3, radius: f32) -> (f32, f32) {
     let square = direction.x * direction.x + direction.y * direction.y;
     let off = direction.x * origin.y - direction.y * origin.x;
     let inside = square * radius * radius - off * off;
     let middle = -(direction.x * origin.x + direction.y * origin.y) / square;
     let reach = inside.max(0.0).sqrt() / square;
+    let within = origin.x * origin.x + origin.y * origin.y <= radius * radius;
     let parallel = square <= 1e-14 * direction.z * direction.z;
-    let hit = if parallel {
-        origin.x * origin.x + origin.y * origin.y <= radius * radius
-    } else {
-        inside >= 0.0
-    };
-    match (hit, parallel) {
-        (false, _) => (MISS, -MISS),
-        (true, true) => (-MISS, MISS),
-        (true, false) => (middle - reach, middle + reach),
-    }
+    let hit = if parallel { within } else { inside >= 0.0 };
+    let enter = if parallel { -MISS } else { middle - reach };
+    let leave = if parallel { MISS } else { middle + reach };
+    (
+        if hit { enter } else { MISS },
+        if hit { leave } else { -MISS },
+    )
 }
 
 /// Where a line enters and leaves the layer `|z| <= half`.
+#[inline(always)]
 fn slab(origin: f32, direction: f32, half: f32) -> (f32, f32) {
     let inverse = 1.0 / direction;
     let (first, second) = ((-half - origin) * inverse, (half - origin) * inverse);
     (first.min(second), first.max(second))
 }
 
+#[inline(always)]
 fn capsule(origin: Vec3, direction: Vec3, radius: f32, half_length: f32) -> f32 {
     let (enter, leave) = tube(origin, direction, radius);
     let z = origin.z + enter * direction.z;
-    if z.abs() <= half_length && enter <= leave {
-        return enter;
-    }
-    if enter > leave {
-        return MISS;
-    }
     let end = if enter == -MISS { -direction.z } else { z };
-    let ball = Vec3::new(origin.x, origin.y, origin.z - half_length.copysign(end));
+    let centre = half_length.copysign(end);
+    let ball = Vec3::new(origin.x, origin.y, origin.z - centre);
     let scale = 1.0 / radius;
-    unit_sphere(ball * scale, direction * scale)
+    let round = unit_sphere(ball * scale, direction * scale);
+    let side = if z.abs() <= half_length { enter } else { round };
+    if enter <= leave { side } else { MISS }
 }

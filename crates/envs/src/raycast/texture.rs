@@ -1,6 +1,6 @@
 //! Textures with mipmaps, filtered as OpenGL does it.
 
-use super::maths::log2;
+use super::maths::{floor, log2};
 use super::vec3::Vec3;
 
 /// An image that repeats in both directions.
@@ -21,8 +21,8 @@ pub struct CubeTexture {
 struct Level {
     width: usize,
     height: usize,
-    /// `[height, width]`
-    texels: Vec<[u8; 3]>,
+    /// `[height, width]`, the fourth byte of each is not used.
+    texels: Vec<[u8; 4]>,
 }
 
 /// What happens beyond an image's edge.
@@ -46,7 +46,7 @@ impl Texture {
         let mut levels = vec![Level {
             width,
             height,
-            texels,
+            texels: texels.into_iter().map(|[r, g, b]| [r, g, b, 0]).collect(),
         }];
         while let Some(next) = levels.last().and_then(Level::halved) {
             levels.push(next);
@@ -149,7 +149,8 @@ impl Level {
                 let u = (x as f32 + 0.5) / width as f32;
                 let v = (y as f32 + 0.5) / height as f32;
                 let colour = self.bilinear([u, v], Wrap::Clamp);
-                texels.push(colour.map(|value| (value * 255.0).round() as u8));
+                let [r, g, b] = colour.map(|value| (value * 255.0 + 0.5) as u8);
+                texels.push([r, g, b, 0]);
             }
         }
         Some(Self {
@@ -162,19 +163,14 @@ impl Level {
     fn bilinear(&self, at: [f32; 2], wrap: Wrap) -> [f32; 3] {
         let (left, right, across) = neighbours(at[0], self.width, wrap);
         let (top, bottom, along) = neighbours(at[1], self.height, wrap);
-        let texel = |x: usize, y: usize| self.texels[y * self.width + x];
-        let corners = [
-            (texel(left, top), (1.0 - across) * (1.0 - along)),
-            (texel(right, top), across * (1.0 - along)),
-            (texel(left, bottom), (1.0 - across) * along),
-            (texel(right, bottom), across * along),
-        ];
-        std::array::from_fn(|c| {
-            let weighted = corners
-                .iter()
-                .map(|(texel, share)| f32::from(texel[c]) * share);
-            weighted.sum::<f32>() * (1.0 / 255.0)
-        })
+        let texel = |x: usize, y: usize| self.texels[y * self.width + x].map(f32::from);
+        let mix = |a: [f32; 4], b: [f32; 4], share: f32| -> [f32; 4] {
+            std::array::from_fn(|c| a[c] + share * (b[c] - a[c]))
+        };
+        let upper = mix(texel(left, top), texel(right, top), across);
+        let lower = mix(texel(left, bottom), texel(right, bottom), across);
+        let [r, g, b, _] = mix(upper, lower, along).map(|value| value * (1.0 / 255.0));
+        [r, g, b]
     }
 }
 
@@ -183,16 +179,16 @@ fn neighbours(at: f32, size: usize, wrap: Wrap) -> (usize, usize, f32) {
     let last = size - 1;
     match wrap {
         Wrap::Repeat => {
-            let position = (at - at.floor()) * size as f32 - 0.5;
-            let floor = position.floor();
-            // From -1 to size: rounding may give the very end.
-            let first = floor as i32;
+            let position = (at - floor(at)) * size as f32 - 0.5;
+            let whole = floor(position);
+            // From -1 to the size: rounding may give the very end.
+            let first = whole as i32;
             let wrapped = |index: i32| match index {
                 index if index < 0 => last,
                 index if index as usize > last => 0,
                 index => index as usize,
             };
-            (wrapped(first), wrapped(first + 1), position - floor)
+            (wrapped(first), wrapped(first + 1), position - whole)
         }
         Wrap::Clamp => {
             let position = (at * size as f32 - 0.5).clamp(0.0, last as f32);
