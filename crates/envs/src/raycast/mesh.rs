@@ -107,6 +107,19 @@ impl Mesh {
 }
 
 impl Triangle {
+    /// Sharp at those corners whose normal's cosine to the triangle's own is below `smooth`.
+    #[must_use]
+    pub fn with_edges(mut self, smooth: f32) -> Self {
+        let [a, b, c] = self.corners;
+        let flat = (b - a).cross(c - a).unit();
+        for normal in &mut self.normals {
+            if normal.dot(flat) < smooth {
+                *normal = flat;
+            }
+        }
+        self
+    }
+
     /// Distance and weights of the second and third corner where a ray enters the front.
     fn hit(&self, origin: Vec3, direction: Vec3) -> Option<(f32, [f32; 2])> {
         let [a, b, c] = self.corners;

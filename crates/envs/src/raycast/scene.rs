@@ -25,7 +25,7 @@ pub enum Surface {
 }
 
 /// One moment.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Scene {
     /// In drawing order.
     pub geoms: Vec<Geom>,
@@ -178,6 +178,21 @@ pub struct Camera {
     pub centre: f32,
     /// Tangents of the lower and upper edge of the view. The sides follow from the picture's form.
     pub vertical: [f32; 2],
+}
+
+impl Default for Camera {
+    /// At the origin, along x, 90 degrees high.
+    fn default() -> Self {
+        Self {
+            position: Vec3::default(),
+            forward: Vec3::new(1.0, 0.0, 0.0),
+            up: Vec3::new(0.0, 0.0, 1.0),
+            near: 0.01,
+            far: 100.0,
+            centre: 0.0,
+            vertical: [-1.0, 1.0],
+        }
+    }
 }
 
 /// What a pixel shows mostly.
