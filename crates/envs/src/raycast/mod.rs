@@ -22,6 +22,8 @@ mod shadow;
 mod shape;
 mod sky;
 mod surface;
+#[cfg(test)]
+mod tests;
 mod texture;
 mod vec3;
 mod view;
