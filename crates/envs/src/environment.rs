@@ -10,10 +10,12 @@ use crate::EnvError;
 pub mod class {
     /// Sky, mountains, terrain and everything that stands on it.
     pub const BACKGROUND: u8 = 0;
-    /// The road: surface, lines and barriers.
+    /// The road: surface, lines and barriers; or the floor.
     pub const ROAD: u8 = 1;
     /// A vehicle other than the ego.
     pub const VEHICLE: u8 = 2;
+    /// What the agent moves, where it sees itself.
+    pub const AGENT: u8 = 3;
 }
 
 /// A world that takes actions and shows images.

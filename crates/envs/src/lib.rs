@@ -35,6 +35,7 @@ mod geometry;
 mod highway;
 mod id;
 mod noise;
+pub mod raycast;
 mod registry;
 mod render;
 mod resize;

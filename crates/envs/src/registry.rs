@@ -23,7 +23,11 @@ pub(crate) struct Family {
     pub(crate) make: Make,
 }
 
-const FAMILIES: &[&Family] = &[&HIGHWAY];
+const FAMILIES: &[&Family] = &[
+    &HIGHWAY,
+    #[cfg(feature = "mujoco")]
+    &crate::dmc::CONTROL,
+];
 
 static IDS: LazyLock<Vec<String>> = LazyLock::new(|| {
     let ids = FAMILIES.iter().map(|family| {

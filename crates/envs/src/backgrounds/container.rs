@@ -8,9 +8,6 @@ use std::ops::Range;
 const TOO_SHORT: &str = "it ends too early or is damaged";
 const START_CODE: [u8; 4] = [0, 0, 0, 1];
 
-/// The kind and the content of a part of the file.
-type Part<'a> = ([u8; 4], &'a [u8]);
-
 /// Where the H.264 video of a file is.
 #[derive(Debug)]
 pub(crate) struct Track {

@@ -1,14 +1,18 @@
 //! The DeepMind Control Suite: dm_control's tasks on MuJoCo, bit for bit.
 //!
-//! [`ControlTask`] is one task with its physics, without pictures. The models are dm_control's own files, which
+//! [`ControlTask`] is one task with its physics, [`SceneRenderer`] draws it. The models are dm_control's own files, which
 //! `cargo xtask setup` fetches; the order of computations and of random draws is dm_control's too, so that a seed
 //! gives the same episode here and there. [`parity`] proves it against the real one.
 
+mod assets;
+mod environment;
 mod error;
+mod family;
 pub mod parity;
 mod physics;
 mod random;
 mod rewards;
+mod scene;
 mod tasks;
 
 use std::env;
@@ -17,9 +21,12 @@ use std::path::{Path, PathBuf};
 
 use mujoco_rs::prelude::{MjData, MjModel};
 
+pub use self::assets::Recolour;
 pub use self::error::ControlError;
+pub(crate) use self::family::CONTROL;
 use self::physics::Physics;
 use self::random::RandomState;
+pub use self::scene::SceneRenderer;
 use self::tasks::{Entry, TASKS, Task};
 use crate::EnvError;
 use crate::id::nearest;

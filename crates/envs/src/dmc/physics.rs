@@ -84,10 +84,15 @@ impl Physics {
     fn id(&self, of: MjtObjBase, kind: &str, name: &str) -> Result<usize, ControlError> {
         self.model()
             .name_to_id(of, name)
-            .ok_or_else(|| ControlError::Model {
-                path: self.path.clone(),
-                reason: format!("it has no {kind} \"{name}\""),
-            })
+            .ok_or_else(|| self.unusable(format!("it has no {kind} \"{name}\"")))
+    }
+
+    /// The error that the model is not what is needed.
+    pub(super) fn unusable(&self, reason: String) -> ControlError {
+        ControlError::Model {
+            path: self.path.clone(),
+            reason,
+        }
     }
 
     /// The z component of the body's own z axis: 1 upright, -1 upside down.
