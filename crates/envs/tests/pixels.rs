@@ -8,6 +8,7 @@
 
 use std::path::Path;
 
+use isodream_envs::EnvError;
 use isodream_envs::dmc::{ControlTask, Recolour, SceneRenderer, ids};
 use isodream_envs::raycast::Class;
 
@@ -15,27 +16,27 @@ const SIDE: usize = 64;
 const TASKS: [&str; 4] = ["finger_spin", "hopper_stand", "walker_walk", "cheetah_run"];
 
 /// The task after twenty steps of swinging.
-fn swing(id: &str) -> ControlTask {
-    let mut task = ControlTask::load(id).unwrap();
-    task.reset(1).unwrap();
+fn swing(id: &str) -> Result<ControlTask, EnvError> {
+    let mut task = ControlTask::load(id)?;
+    task.reset(1)?;
     for step in 0..20 {
         let sign = |joint: usize| {
-            if (step / 5 + joint) % 2 == 0 {
+            if (step / 5 + joint).is_multiple_of(2) {
                 0.8
             } else {
                 -0.8
             }
         };
         let action: Vec<f64> = (0..task.action_dim()).map(sign).collect();
-        task.step(&action).unwrap();
+        task.step(&action)?;
     }
-    task
+    Ok(task)
 }
 
-fn reference(name: &str) -> Vec<u8> {
+fn reference(name: &str) -> image::ImageResult<Vec<u8>> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/pixels");
-    let image = image::open(folder.join(format!("{name}.png"))).unwrap();
-    image.into_rgb8().into_raw()
+    let image = image::open(folder.join(format!("{name}.png")))?;
+    Ok(image.into_rgb8().into_raw())
 }
 
 /// Mean absolute difference of two pictures, and the share of pixels that differ by more than 16.
@@ -73,9 +74,9 @@ fn is_key(pixel: &[u8]) -> bool {
 #[test]
 fn pictures_are_those_of_dm_control() {
     for id in TASKS {
-        let mut task = swing(id);
+        let mut task = swing(id).unwrap();
         let mut renderer = SceneRenderer::new(&task, (SIDE, SIDE), Recolour::None).unwrap();
-        let (mean, off) = difference(&renderer.render(&mut task), &reference(id));
+        let (mean, off) = difference(&renderer.render(&mut task), &reference(id).unwrap());
         assert!(mean < 1.0, "{id}: {mean}");
         assert!(off < 0.03, "{id}: {off}");
     }
@@ -84,11 +85,11 @@ fn pictures_are_those_of_dm_control() {
 #[test]
 fn green_pictures_have_the_same_mask() {
     for id in TASKS {
-        let mut task = swing(id);
+        let mut task = swing(id).unwrap();
         let mut renderer =
             SceneRenderer::new(&task, (SIDE, SIDE), Recolour::SkyboxAndGrid).unwrap();
         let picture = renderer.render(&mut task);
-        let expected = reference(&format!("{id}_hard"));
+        let expected = reference(&format!("{id}_hard")).unwrap();
         let (mean, _) = difference(&picture, &expected);
         assert!(mean < 1.0, "{id}: {mean}");
         let pairs = picture.chunks(3).zip(expected.chunks(3));
@@ -106,7 +107,7 @@ fn green_pictures_have_the_same_mask() {
 
 #[test]
 fn the_sky_alone_is_green_for_easy_videos() {
-    let mut task = swing("walker_walk");
+    let mut task = swing("walker_walk").unwrap();
     let mut plain = SceneRenderer::new(&task, (SIDE, SIDE), Recolour::None).unwrap();
     let mut green = SceneRenderer::new(&task, (SIDE, SIDE), Recolour::Skybox).unwrap();
     let (plain, picture) = (plain.render(&mut task), green.render(&mut task));

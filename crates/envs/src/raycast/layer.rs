@@ -52,9 +52,9 @@ impl Layer {
     pub(crate) fn draw(&mut self, lens: &Lens, target: &Target<'_>, near: f32) {
         target.scan(lens, |index, depth| {
             let there = &mut self.pixels[index];
-            for k in 0..SAMPLES {
-                if depth[k] >= near && depth[k] <= there.depth[k] && depth[k] < MISS {
-                    there.depth[k] = depth[k];
+            for (k, &depth) in depth.iter().enumerate() {
+                if depth >= near && depth <= there.depth[k] && depth < MISS {
+                    there.depth[k] = depth;
                     there.geom[k] = target.id;
                 }
             }
@@ -72,10 +72,17 @@ impl Layer {
     ) {
         target.scan(lens, |index, depth| {
             let (there, seen) = (&mut self.pixels[index], &scene.pixels[index]);
-            for k in 0..SAMPLES {
-                let front = seen.geom[k] == mirror.id && depth[k] > seen.depth[k];
-                if front && depth[k] <= there.depth[k] && depth[k] < MISS {
-                    there.depth[k] = depth[k];
+            if !seen.geom.contains(&mirror.id) {
+                return;
+            }
+            let width = lens.columns.len();
+            let surface = mirror.depth(&lens.columns[index % width], &lens.rows[index / width]);
+            for (k, &depth) in depth.iter().enumerate() {
+                // The sides of a box do not mirror.
+                let shown = (surface[k] - seen.depth[k]).abs() <= 1e-4 * seen.depth[k];
+                let front = seen.geom[k] == mirror.id && shown && depth > seen.depth[k];
+                if front && depth <= there.depth[k] && depth < MISS {
+                    there.depth[k] = depth;
                     there.geom[k] = target.id;
                 }
             }
@@ -90,6 +97,21 @@ pub(crate) struct Mirror {
     pub(crate) reflectance: f32,
     /// Its surface is where z is 0.
     pub(crate) frame: Frame,
+    /// The observer, seen from it.
+    pub(crate) view: View,
+}
+
+impl Mirror {
+    /// Depth of its plane at the samples of a pixel.
+    fn depth(&self, x: &[f32; SAMPLES], y: &[f32; SAMPLES]) -> [f32; SAMPLES] {
+        let View {
+            origin,
+            forward,
+            right,
+            up,
+        } = &self.view;
+        std::array::from_fn(|k| -origin.z / (forward.z + right.z * x[k] + up.z * y[k]))
+    }
 }
 
 impl Target<'_> {

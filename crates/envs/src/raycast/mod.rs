@@ -10,6 +10,7 @@
 //!
 //! The picture depends on the scene alone. No function is used whose result is up to the machine's C library.
 
+mod drawing;
 mod floor;
 mod layer;
 mod light;

@@ -2,18 +2,14 @@
 
 use std::sync::Arc;
 
-use super::floor::{FloorLight, Lighting};
-use super::layer::{Layer, Mirror, NOTHING, Target};
-use super::light::{Point, add, multiply, saturate, unlit};
-use super::prepared::{Prepared, transparent};
-use super::scene::{Assets, Class, Geom, Light, Scene, Shape};
-use super::shadow::Caster;
+use super::drawing::Drawing;
+use super::floor::FloorLight;
+use super::layer::{Layer, NOTHING};
+use super::light::{add, multiply, saturate};
+use super::scene::{Assets, Class, Scene, Shape};
 use super::sky::Sky;
 use super::surface::Visible;
-use super::view::{Lens, SAMPLES, View};
-
-/// Lights beyond these stay dark, as in OpenGL.
-const LIGHTS: usize = 8;
+use super::view::{Lens, SAMPLES};
 
 /// Draws scenes of one model, all of the same size.
 ///
@@ -24,7 +20,6 @@ pub struct Renderer {
     assets: Arc<Assets>,
     width: usize,
     height: usize,
-    lens: Lens,
     sky: Sky,
     scene: Layer,
     mirrored: Layer,
@@ -36,23 +31,6 @@ pub struct Renderer {
     classes: Vec<Class>,
 }
 
-/// What is fixed while one scene is drawn.
-struct Drawing<'a> {
-    assets: &'a Assets,
-    geoms: &'a [Geom],
-    lights: &'a [Light],
-    /// Of the lights that throw shadows, in their order.
-    casters: Vec<Caster>,
-    prepared: Vec<Prepared>,
-    lens: &'a Lens,
-    view: View,
-    near: f32,
-    mirror: Option<Mirror>,
-    mirrored_view: View,
-    /// The plane whose shadows are computed before its pixels.
-    ground: Option<usize>,
-}
-
 impl Renderer {
     /// A renderer of pictures with `height` rows and `width` columns.
     pub fn new(assets: Arc<Assets>, height: usize, width: usize) -> Self {
@@ -60,7 +38,6 @@ impl Renderer {
             assets,
             width,
             height,
-            lens: Lens::default(),
             sky: Sky::default(),
             scene: Layer::default(),
             mirrored: Layer::default(),
@@ -88,12 +65,8 @@ impl Renderer {
             self.width * self.height * 3,
             "bytes of the picture"
         );
-        let lens = Lens::new(&scene.camera, self.width, self.height);
-        if lens != self.lens {
-            self.lens = lens;
-        }
         let assets = Arc::clone(&self.assets);
-        let lens = std::mem::take(&mut self.lens);
+        let lens = Lens::new(&scene.camera, self.width, self.height);
         let drawing = Drawing::new(scene, &assets, &lens);
         self.sky.look(&assets, &drawing.view, &lens);
         self.see(&drawing);
@@ -101,7 +74,6 @@ impl Renderer {
         for index in drawing.blending_order(scene) {
             self.blend(&drawing, index);
         }
-        self.lens = lens;
         for (bytes, colour) in picture.as_chunks_mut::<3>().0.iter_mut().zip(&self.colours) {
             *bytes = colour.map(|value| (value * 255.0 + 0.5) as u8);
         }
@@ -196,8 +168,7 @@ impl Renderer {
             let mut sum = [0.0; 3];
             let mut votes = [0; 3];
             let mut last = None;
-            for k in 0..SAMPLES {
-                let geom = samples[k];
+            for (k, geom) in samples.into_iter().enumerate() {
                 let mirrored = match &drawing.mirror {
                     Some(mirror) if mirror.id == geom => self.mirrored.pixels[pixel].geom[k],
                     _ => NOTHING,
@@ -319,192 +290,4 @@ fn majority(votes: [u32; 3]) -> Class {
         .into_iter()
         .max_by_key(|&class| votes[class as usize]);
     best.unwrap_or(Class::Background)
-}
-
-impl<'a> Drawing<'a> {
-    fn new(scene: &'a Scene, assets: &'a Assets, lens: &'a Lens) -> Self {
-        let view = View::new(&scene.camera);
-        let mut prepared: Vec<_> = scene
-            .geoms
-            .iter()
-            .map(|geom| Prepared::new(geom, &assets.meshes, &view))
-            .collect();
-        let lights = &scene.lights[..scene.lights.len().min(LIGHTS)];
-        let mirror = find_mirror(&scene.geoms, &prepared);
-        let mirrored_view = mirror.map_or(view, |mirror| view.mirrored(&mirror.frame));
-        for (prepared, geom) in prepared.iter_mut().zip(&scene.geoms) {
-            prepared.mirrored = mirrored_view.seen_from(&geom.frame);
-        }
-        let is_ground = |index: &usize| {
-            matches!(scene.geoms[*index].shape, Shape::Plane { .. })
-                && !prepared[*index].transparent
-        };
-        let casters = lights.iter();
-        Self {
-            assets,
-            geoms: &scene.geoms,
-            lights,
-            casters: casters
-                .filter_map(|light| Some(Caster::new(light, light.shadow?)))
-                .collect(),
-            ground: (0..scene.geoms.len()).find(is_ground),
-            prepared,
-            lens,
-            view,
-            near: scene.camera.near,
-            mirror,
-            mirrored_view,
-        }
-    }
-
-    fn target(&self, index: usize, view: &View, local: &'a View) -> Target<'a>
-    where
-        Self: 'a,
-    {
-        Target {
-            id: index as u16,
-            shape: &self.geoms[index].shape,
-            meshes: &self.assets.meshes,
-            view: local,
-            rect: self.prepared[index].rect(self.lens, view),
-        }
-    }
-
-    fn lighting(&self, index: usize) -> Lighting<'_> {
-        Lighting {
-            geom: &self.geoms[index],
-            lights: self.lights,
-            eye: self.view.origin,
-        }
-    }
-
-    /// Transparent geoms, once from the front and once from the back.
-    fn blending_order(&self, scene: &Scene) -> Vec<usize> {
-        let mut order = transparent(scene, &self.prepared);
-        order.extend(order.clone().iter().rev());
-        order
-    }
-
-    /// The tangents at which a geom is shaded in a pixel: the middle, if it is there, else the middle of the
-    /// samples that show it.
-    fn place(&self, layer: &Layer, local: &View, pixel: usize, geom: u16) -> [f32; 2] {
-        let (row, column) = (
-            pixel / self.lens.columns.len(),
-            pixel % self.lens.columns.len(),
-        );
-        let middle = [self.lens.middle_columns[column], self.lens.middle_rows[row]];
-        let samples = &layer.pixels[pixel].geom;
-        if samples.iter().all(|&sample| sample == geom) {
-            return middle;
-        }
-        let shape = &self.geoms[usize::from(geom)];
-        if Visible::new(shape, self.assets, local, middle, self.near).is_some() {
-            return middle;
-        }
-        let shown = (0..SAMPLES).filter(|&k| samples[k] == geom);
-        let (mut x, mut y, mut count) = (0.0, 0.0, 0.0);
-        for k in shown {
-            x += self.lens.columns[column][k];
-            y += self.lens.rows[row][k];
-            count += 1.0;
-        }
-        [x / count, y / count]
-    }
-
-    /// The colour of an opaque body.
-    fn body(&self, index: usize, at: [f32; 2]) -> [f32; 3] {
-        let geom = &self.geoms[index];
-        let view = &self.prepared[index].view;
-        let Some(visible) = Visible::new(geom, self.assets, view, at, self.near) else {
-            return [0.0; 3];
-        };
-        let point = self.point(geom, &visible, &self.view);
-        let mut plain = unlit(&geom.material, self.lights);
-        let mut shadowed = [0.0; 3];
-        let mut casters = self.casters.iter();
-        for light in self.lights {
-            let colour = light.on(&geom.material, &point);
-            if light.shadow.is_none() {
-                plain = add(plain, colour);
-                continue;
-            }
-            let caster = casters.next();
-            let lit = colour != [0.0; 3]
-                && !caster.is_some_and(|caster| self.is_dark(caster, index, point.position));
-            if lit {
-                shadowed = add(shadowed, saturate(colour));
-            }
-        }
-        let texture = visible.texture(geom, self.assets, view, at, self.lens.pitch);
-        saturate(multiply(add(saturate(plain), shadowed), texture))
-    }
-
-    /// The colour of a geom in all lights, its own colour weakened to a share of `tint`.
-    fn unshadowed(
-        &self,
-        index: usize,
-        (view, local): (&View, &View),
-        at: [f32; 2],
-        tint: f32,
-    ) -> [f32; 3] {
-        let geom = &self.geoms[index];
-        let Some(visible) = Visible::new(geom, self.assets, local, at, self.near) else {
-            return [0.0; 3];
-        };
-        let point = self.point(geom, &visible, view);
-        let mut material = geom.material;
-        for value in &mut material.rgba[..3] {
-            *value *= tint;
-        }
-        let mut colour = unlit(&material, self.lights);
-        for light in self.lights {
-            colour = add(colour, light.on(&material, &point));
-        }
-        let texture = visible.texture(geom, self.assets, local, at, self.lens.pitch);
-        multiply(saturate(colour), texture)
-    }
-
-    fn point(&self, geom: &Geom, visible: &Visible, view: &View) -> Point {
-        let position = geom.frame.position + geom.frame.to_world(visible.position);
-        Point {
-            position,
-            normal: geom.frame.to_world(visible.normal),
-            to_eye: (view.origin - position).unit(),
-        }
-    }
-
-    /// Whether `point` of the geom with this index is in a shadow.
-    fn is_dark(&self, caster: &Caster, index: usize, point: super::vec3::Vec3) -> bool {
-        let Some(path) = caster.path(point) else {
-            return false;
-        };
-        self.geoms.iter().enumerate().any(|(other, geom)| {
-            let prepared = &self.prepared[other];
-            let itself = other == index && geom.shape.is_convex();
-            geom.casts_shadow
-                && !itself
-                && path.passes(prepared.centre, prepared.radius)
-                && path.meets(geom, &self.assets.meshes)
-        })
-    }
-}
-
-/// The first plane or box that mirrors, if the observer is in front of it.
-fn find_mirror(geoms: &[Geom], prepared: &[Prepared]) -> Option<Mirror> {
-    let (index, geom) = geoms.iter().enumerate().find(|(index, geom)| {
-        matches!(geom.shape, Shape::Plane { .. } | Shape::Box { .. })
-            && geom.material.reflectance > 0.0
-            && !prepared[*index].transparent
-    })?;
-    let mut frame = geom.frame;
-    let mut height = prepared[index].view.origin.z;
-    if let Shape::Box { half } = geom.shape {
-        frame.position = frame.position + frame.axes[2] * half.z;
-        height -= half.z;
-    }
-    (height >= 0.0).then_some(Mirror {
-        id: index as u16,
-        reflectance: geom.material.reflectance,
-        frame,
-    })
 }

@@ -127,8 +127,7 @@ impl View {
         for &point in points {
             let offset = point - self.origin;
             let depth = offset.dot(self.forward);
-            // Also where the point is not a number.
-            if !(depth > 1e-6) {
+            if depth.is_nan() || depth <= 1e-6 {
                 return lens.whole();
             }
             let column = (offset.dot(self.right) / depth - lens.corner[0]) / lens.pitch[0];

@@ -121,6 +121,17 @@ fn mirrors_add_what_is_above_them() {
         [0.5; 3],
         "what is below the floor",
     );
+    let stage = Shape::Box {
+        half: Vec3::new(2.5, 10.0, 0.5),
+    };
+    let stage = geom(stage, [4.5, 0.0, -1.5], mirror);
+    let picture = draw(&scene(vec![stage, body.clone()], vec![darkness()]));
+    assert_near(
+        picture.at(row(1.2 / 2.5), MIDDLE),
+        [0.5; 3],
+        "the top, nothing above",
+    );
+    assert_near(picture.at(mirrored, MIDDLE), [0.5; 3], "the side of a box");
     // A second mirror mirrors nothing.
     let second = draw(&scene(
         vec![
