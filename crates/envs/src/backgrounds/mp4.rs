@@ -140,10 +140,11 @@ mod tests {
         assert_eq!(rgb(235, 128, 128), [255; 3]);
         assert_eq!(rgb(16, 128, 128), [0; 3]);
         assert_eq!(rgb(126, 128, 128), [128; 3]);
-        // Red: 65 * 1.1644 = 75.7, 112 * 1.596 = 178.8, each rounded down. Green: 150.2, 28.9 and 76.4.
+        // Red: 65 * 1.1644 = 75.7 and 112 * 1.596 = 178.8, each rounded down. Green: 150.2, 28.9 and 76.4.
+        // Blue: 29.1 and 225.9.
         assert_eq!(rgb(81, 90, 240), [253, 0, 0]);
         assert_eq!(rgb(145, 54, 34), [0, 254, 0]);
-        assert_eq!(rgb(41, 240, 110), [0, 0, 255]);
+        assert_eq!(rgb(41, 240, 110), [0, 0, 254]);
     }
 
     #[test]
