@@ -77,8 +77,8 @@ fn pictures_are_those_of_dm_control() {
         let mut task = swing(id).unwrap();
         let mut renderer = SceneRenderer::new(&task, (SIDE, SIDE), Recolour::None).unwrap();
         let (mean, off) = difference(&renderer.render(&mut task), &reference(id).unwrap());
-        assert!(mean < 1.0, "{id}: {mean}");
-        assert!(off < 0.03, "{id}: {off}");
+        assert!(mean < 0.75, "{id}: {mean}");
+        assert!(off < 0.015, "{id}: {off}");
     }
 }
 
@@ -91,11 +91,11 @@ fn green_pictures_have_the_same_mask() {
         let picture = renderer.render(&mut task);
         let expected = reference(&format!("{id}_hard")).unwrap();
         let (mean, _) = difference(&picture, &expected);
-        assert!(mean < 1.0, "{id}: {mean}");
+        assert!(mean < 0.75, "{id}: {mean}");
         let pairs = picture.chunks(3).zip(expected.chunks(3));
         let same = pairs.filter(|(a, b)| is_key(a) == is_key(b)).count();
         let agreement = same as f64 / (SIDE * SIDE) as f64;
-        assert!(agreement >= 0.995, "{id}: {agreement}");
+        assert!(agreement >= 0.999, "{id}: {agreement}");
         let floor = renderer.classes().iter().zip(picture.chunks(3));
         let mut floor = floor.filter(|(class, _)| **class == Class::Floor);
         assert!(

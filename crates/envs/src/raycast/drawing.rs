@@ -1,6 +1,6 @@
 //! One scene, prepared for drawing, and the colours of its bodies.
 
-use super::floor::Lighting;
+use super::corners::Lighting;
 use super::layer::{Layer, Mirror, Target};
 use super::light::{Point, add, multiply, saturate, unlit};
 use super::prepared::{Prepared, transparent};
@@ -118,6 +118,36 @@ impl<'a> Drawing<'a> {
             count += 1.0;
         }
         [x / count, y / count]
+    }
+
+    /// Tangents of the middle of a pixel, and whether all its samples show the geom.
+    pub(super) fn middle(&self, layer: &Layer, pixel: usize, geom: u16) -> ([f32; 2], bool) {
+        let width = self.lens.columns.len();
+        let column = self.lens.middle_columns[pixel % width];
+        let middle = [column, self.lens.middle_rows[pixel / width]];
+        let samples = &layer.pixels[pixel].geom;
+        (middle, samples.iter().all(|&sample| sample == geom))
+    }
+
+    /// Whether the geom is drawn with facets, so that samples of a pixel may differ.
+    pub(super) fn by_sample(&self, geom: u16) -> bool {
+        let shape = self.geoms.get(usize::from(geom)).map(|geom| &geom.shape);
+        shape.is_some_and(|shape| {
+            !matches!(
+                shape,
+                Shape::Plane { .. } | Shape::Box { .. } | Shape::Mesh { .. }
+            )
+        })
+    }
+
+    /// Tangents of a sample.
+    pub(super) fn sample(&self, pixel: usize, sample: usize) -> [f32; 2] {
+        let width = self.lens.columns.len();
+        let (row, column) = (pixel / width, pixel % width);
+        [
+            self.lens.columns[column][sample],
+            self.lens.rows[row][sample],
+        ]
     }
 
     /// The colour of an opaque body.

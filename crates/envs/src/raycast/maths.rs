@@ -36,13 +36,44 @@ pub(crate) fn floor(value: f32) -> f32 {
 
 /// `base` in `[0, 1]` to the power of `exponent >= 0`; 1 if both are 0.
 pub(crate) fn power(base: f32, exponent: f32) -> f32 {
-    if exponent == 0.0 {
-        1.0
-    } else if base <= 0.0 {
-        0.0
-    } else {
-        exp2(exponent * log2(base))
+    if base <= 0.0 {
+        return if exponent == 0.0 { 1.0 } else { 0.0 };
     }
+    let mut whole = exponent.min(255.0) as u32;
+    if whole as f32 != exponent {
+        return exp2(exponent * log2(base));
+    }
+    let (mut result, mut square) = (1.0, base);
+    while whole > 0 {
+        if whole & 1 == 1 {
+            result *= square;
+        }
+        square *= square;
+        whole >>= 1;
+    }
+    result
+}
+
+/// The angle of the direction `(x, y)` from the x axis in `[0, 2 pi)`, to about 1e-5.
+pub(crate) fn angle(y: f32, x: f32) -> f32 {
+    let (low, high) = (x.abs().min(y.abs()), x.abs().max(y.abs()));
+    let ratio = if high > 0.0 { low / high } else { 0.0 };
+    // The half angle makes the series of the arc tangent short.
+    let half = ratio / (1.0 + (1.0 + ratio * ratio).sqrt());
+    let square = half * half;
+    let series =
+        1.0 - square * (1.0 / 3.0 - square * (1.0 / 5.0 - square * (1.0 / 7.0 - square / 9.0)));
+    let mut angle = 2.0 * half * series;
+    if y.abs() > x.abs() {
+        angle = std::f32::consts::FRAC_PI_2 - angle;
+    }
+    if x < 0.0 {
+        angle = std::f32::consts::PI - angle;
+    }
+    if y < 0.0 {
+        angle = std::f32::consts::TAU - angle;
+    }
+    angle
 }
 
 #[cfg(test)]
@@ -53,7 +84,7 @@ mod tests {
     fn powers_are_those_of_double_precision() {
         for step in 1..=200 {
             let base = step as f32 / 200.0;
-            for exponent in [0.5, 1.0, 10.0, 64.0, 128.0] {
+            for exponent in [0.5, 1.0, 10.0, 38.4, 64.0, 128.0] {
                 let exact = f64::from(base).powf(f64::from(exponent));
                 let error = (f64::from(power(base, exponent)) - exact).abs();
                 assert!(
@@ -72,5 +103,15 @@ mod tests {
         for value in [-2.0, -1.5, -0.25, -0.0, 0.0, 0.75, 1.0, 7.999] {
             assert_eq!(floor(value), value.floor(), "{value}");
         }
+    }
+
+    #[test]
+    fn angles_go_once_around() {
+        for step in 0..100 {
+            let exact = f64::from(step) * std::f64::consts::TAU / 100.0;
+            let found = angle(exact.sin() as f32 * 3.0, exact.cos() as f32 * 3.0);
+            assert!((f64::from(found) - exact).abs() < 1e-4, "{exact}: {found}");
+        }
+        assert_eq!(angle(0.0, 0.0), 0.0);
     }
 }

@@ -1,16 +1,19 @@
 //! A ray-caster that draws what MuJoCo's classic OpenGL renderer draws, on the CPU alone.
 //!
 //! A [`Scene`] is plain data: nothing here knows MuJoCo. For each geom its pixels are found by projecting a box
-//! around it, and in them each of four samples per pixel asks the form itself where its ray enters; so there are no
-//! polygons. A pixel is shaded once per geom that it shows. The lights, the order of passes and the quirks are
-//! those of MuJoCo's renderer, because agents are trained on one and judged on the other: see [`Renderer`].
+//! around it, and in them each of four samples per pixel asks the form itself where its ray enters. The colours
+//! however are those of the polygons that MuJoCo would draw, lit at their corners. The lights, the order of passes
+//! and the quirks are those of MuJoCo's renderer too, because agents are trained on one and judged on the other.
 //!
 //! Not drawn: height fields, soft bodies, lines and arrows, haze and fog, and reflections of transparent geoms.
-//! Curved geoms are lit in each pixel instead of at the corners of their polygons.
+//! Mirrored and transparent bodies, boxes and meshes are lit in each pixel instead of at corners. Meshes are for
+//! a few hundred triangles: every ray asks all of them.
 //!
 //! The picture depends on the scene alone. No function is used whose result is up to the machine's C library.
 
+mod corners;
 mod drawing;
+mod facet;
 mod floor;
 mod layer;
 mod light;

@@ -2,8 +2,10 @@
 
 use std::sync::Arc;
 
+use super::corners::CornerLight;
 use super::drawing::Drawing;
-use super::floor::FloorLight;
+use super::facet::{CORNERS, Facet};
+use super::floor::Grid;
 use super::layer::{Layer, NOTHING};
 use super::light::{add, multiply, saturate};
 use super::scene::{Assets, Class, Scene, Shape};
@@ -26,7 +28,9 @@ pub struct Renderer {
     /// Of the ground in the middle of each pixel, `[height, width]`, one bit per light that throws shadows.
     shadows: Vec<u8>,
     /// Of the geom with the same index.
-    floors: Vec<FloorLight>,
+    lights: Vec<CornerLight>,
+    /// Of the geom with the same index, if it is a plane.
+    grids: Vec<Option<Grid>>,
     colours: Vec<[f32; 3]>,
     classes: Vec<Class>,
 }
@@ -42,7 +46,8 @@ impl Renderer {
             scene: Layer::default(),
             mirrored: Layer::default(),
             shadows: Vec::new(),
-            floors: Vec::new(),
+            lights: Vec::new(),
+            grids: Vec::new(),
             colours: Vec::new(),
             classes: vec![Class::Background; width * height],
         }
@@ -155,12 +160,16 @@ impl Renderer {
 
     /// Computes the colour and the class of every pixel.
     fn shade(&mut self, drawing: &Drawing<'_>, far: f32) {
-        self.floors
-            .resize_with(drawing.geoms.len(), FloorLight::default);
-        for (index, floor) in self.floors.iter_mut().enumerate() {
-            if matches!(drawing.geoms[index].shape, Shape::Plane { .. }) {
-                floor.start(&drawing.lighting(index), far);
-            }
+        self.lights
+            .resize_with(drawing.geoms.len(), CornerLight::default);
+        self.grids.clear();
+        for (geom, light) in drawing.geoms.iter().zip(&mut self.lights) {
+            let grid = match geom.shape {
+                Shape::Plane { half, spacing } => Some(Grid::new(half, spacing, far)),
+                _ => None,
+            };
+            light.start(grid.map_or(CORNERS, |grid| grid.corners()), drawing.lights);
+            self.grids.push(grid);
         }
         self.colours.clear();
         for pixel in 0..self.width * self.height {
@@ -168,6 +177,7 @@ impl Renderer {
             let mut sum = [0.0; 3];
             let mut votes = [0; 3];
             let mut last = None;
+            let whole = samples.iter().all(|&geom| geom == samples[0]);
             for (k, geom) in samples.into_iter().enumerate() {
                 let mirrored = match &drawing.mirror {
                     Some(mirror) if mirror.id == geom => self.mirrored.pixels[pixel].geom[k],
@@ -175,9 +185,10 @@ impl Renderer {
                 };
                 let colour = match last {
                     Some((same, colour)) if same == (geom, mirrored) => colour,
-                    _ => self.sample(drawing, pixel, geom, mirrored),
+                    _ => self.sample(drawing, pixel, k, mirrored),
                 };
-                last = Some(((geom, mirrored), colour));
+                last =
+                    Some(((geom, mirrored), colour)).filter(|_| whole || !drawing.by_sample(geom));
                 sum = add(sum, colour);
                 let class = drawing.geoms.get(usize::from(geom));
                 votes[class.map_or(Class::Background, |geom| geom.class) as usize] += 1;
@@ -188,23 +199,26 @@ impl Renderer {
         }
     }
 
-    /// The colour of one sample: that of `geom`, with `mirrored` reflected in it.
+    /// The colour of one sample, with `mirrored` reflected in it.
     fn sample(
         &mut self,
         drawing: &Drawing<'_>,
         pixel: usize,
-        geom: u16,
+        sample: usize,
         mirrored: u16,
     ) -> [f32; 3] {
+        let geom = self.scene.pixels[pixel].geom[sample];
         if geom == NOTHING {
             return self.sky.pixels[pixel];
         }
         let index = usize::from(geom);
-        let at = drawing.place(&self.scene, &drawing.prepared[index].view, pixel, geom);
-        let own = match drawing.geoms[index].shape {
-            Shape::Plane { .. } => self.floor(drawing, pixel, index, at),
-            _ => drawing.body(index, at),
-        };
+        let own = self.facet(drawing, pixel, sample).unwrap_or_else(|| {
+            let at = drawing.place(&self.scene, &drawing.prepared[index].view, pixel, geom);
+            match drawing.geoms[index].shape {
+                Shape::Plane { .. } => self.floor(drawing, pixel, index, at),
+                _ => drawing.body(index, at),
+            }
+        });
         match &drawing.mirror {
             Some(mirror) if mirrored != NOTHING => {
                 let index = usize::from(mirrored);
@@ -235,9 +249,12 @@ impl Renderer {
         };
         let lighting = drawing.lighting(index);
         let place = [visible.position.x, visible.position.y];
-        let floor = &mut self.floors[index];
-        let blend = floor.blend(place, &lighting);
-        let mut light = floor.value(&blend, 0);
+        let Some(grid) = &self.grids[index] else {
+            return [0.0; 3];
+        };
+        let corners = &mut self.lights[index];
+        let blend = grid.blend(place, &lighting, corners);
+        let mut light = corners.value(&blend, 0);
         for (bit, caster) in drawing.casters.iter().enumerate() {
             let dark = if drawing.ground == Some(index) {
                 self.shadows[pixel] >> bit & 1 == 1
@@ -246,11 +263,44 @@ impl Renderer {
                 drawing.is_dark(caster, index, point)
             };
             if !dark {
-                light = add(light, floor.value(&blend, 1 + bit));
+                light = add(light, corners.value(&blend, 1 + bit));
             }
         }
         let texture = visible.texture(geom, drawing.assets, view, at, drawing.lens.pitch);
         saturate(multiply(light, texture))
+    }
+
+    /// The colour that a facet of a curved body gives to a sample.
+    fn facet(&mut self, drawing: &Drawing<'_>, pixel: usize, sample: usize) -> Option<[f32; 3]> {
+        let id = self.scene.pixels[pixel].geom[sample];
+        let index = usize::from(id);
+        let (geom, view) = (&drawing.geoms[index], &drawing.prepared[index].view);
+        if !drawing.by_sample(id) {
+            return None;
+        }
+        let (middle, whole) = drawing.middle(&self.scene, pixel, id);
+        let at = if whole {
+            middle
+        } else {
+            drawing.sample(pixel, sample)
+        };
+        let visible = Visible::new(geom, drawing.assets, view, at, drawing.near)?;
+        let facet = Facet::at(&geom.shape, visible.position)?;
+        let ray = view.ray(middle[0], middle[1]);
+        let (shares, distance) = facet.meet(view.origin, ray)?;
+        let corners = &mut self.lights[index];
+        let blend = facet.blend(shares, &drawing.lighting(index), corners);
+        let place = view.origin + ray * distance;
+        let point = geom.frame.position + geom.frame.to_world(place);
+        let mut colour = saturate(corners.value(&blend, 0));
+        for (bit, caster) in drawing.casters.iter().enumerate() {
+            let light = saturate(corners.value(&blend, 1 + bit));
+            if light != [0.0; 3] && !drawing.is_dark(caster, index, point) {
+                colour = add(colour, light);
+            }
+        }
+        let texture = visible.texture(geom, drawing.assets, view, at, drawing.lens.pitch);
+        Some(saturate(multiply(colour, texture)))
     }
 
     /// Lays a transparent geom over what is there.
