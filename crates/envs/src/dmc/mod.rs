@@ -92,6 +92,7 @@ impl ControlTask {
         let entry = entry(id)?;
         let path = suite.join(format!("{}.xml", entry.domain));
         let physics = Physics::load(&path)?;
+        let task = (entry.make)(&physics)?;
         let actions = physics.model().actuator_ctrlrange().len();
         if actions != entry.actions {
             return Err(ControlError::Model {
@@ -100,7 +101,6 @@ impl ControlTask {
             }
             .into());
         }
-        let task = (entry.make)(&physics)?;
         Ok(Self {
             entry,
             physics,
