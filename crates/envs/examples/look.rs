@@ -10,7 +10,7 @@ use isodream_envs::{ScriptedDriver, class, ids, make};
 
 const COLUMNS: usize = 6;
 const STEPS_BETWEEN: usize = 12;
-const MAGNIFY: usize = 4;
+const MAGNIFY: usize = 3;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);

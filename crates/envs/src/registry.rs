@@ -3,11 +3,10 @@
 use isodream_core::config::EnvConfig;
 use isodream_core::{EnvSpec, ImageShape};
 
-use crate::highway::Highway;
-use crate::render::Light;
+use crate::highway::{Highway, Scene};
 use crate::{EnvError, Environment};
 
-const IDS: &[&str] = &["highway/day", "highway/night"];
+const IDS: &[&str] = &Scene::IDS;
 
 /// More cars than this do not fit into the traffic's window.
 const MAX_VEHICLES: u32 = 60;
@@ -22,8 +21,8 @@ pub fn ids() -> &'static [&'static str] {
 /// # Errors
 /// If the id is unknown or a value is out of range.
 pub fn make(config: &EnvConfig) -> Result<Box<dyn Environment>, EnvError> {
-    let light = light(&config.id)?;
-    Ok(Box::new(Highway::new(config, spec(config)?, light)))
+    let scene = scene(&config.id)?;
+    Ok(Box::new(Highway::new(config, spec(config)?, scene)))
 }
 
 /// The spec of the environment that `config` describes, without making it.
@@ -31,7 +30,7 @@ pub fn make(config: &EnvConfig) -> Result<Box<dyn Environment>, EnvError> {
 /// # Errors
 /// As [`make`].
 pub fn spec(config: &EnvConfig) -> Result<EnvSpec, EnvError> {
-    light(&config.id)?;
+    scene(&config.id)?;
     require(
         (8..=1024).contains(&config.image_size),
         "image_size",
@@ -69,15 +68,11 @@ pub fn spec(config: &EnvConfig) -> Result<EnvSpec, EnvError> {
     })
 }
 
-fn light(id: &str) -> Result<Light, EnvError> {
-    match id {
-        "highway/day" => Ok(Light::Day),
-        "highway/night" => Ok(Light::Night),
-        _ => Err(EnvError::UnknownId {
-            id: id.to_owned(),
-            known: IDS.join(", "),
-        }),
-    }
+fn scene(id: &str) -> Result<Scene, EnvError> {
+    Scene::from_id(id).ok_or_else(|| EnvError::UnknownId {
+        id: id.to_owned(),
+        known: IDS.join(", "),
+    })
 }
 
 fn require(

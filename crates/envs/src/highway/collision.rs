@@ -284,10 +284,11 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
+    use crate::highway::maps::Map;
     use crate::highway::road::Frenet;
 
     fn ego_at(s: f64, d: f64, speed: f64) -> Ego {
-        let mut ego = Ego::at_rest(Road::shared(), Frenet { s, d });
+        let mut ego = Ego::at_rest(Map::Loop.road(), Frenet { s, d });
         ego.speed = speed;
         ego
     }
@@ -301,7 +302,7 @@ mod tests {
 
     #[test]
     fn a_rear_end_hit_conserves_momentum_and_takes_both_apart() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let mut ego = ego_at(100.0, 0.0, 15.0);
         let mut cars = [car_at(104.0, 0.0, 10.0)];
         let mass = cars[0].build.mass_kg();
@@ -326,7 +327,7 @@ mod tests {
 
     #[test]
     fn a_car_pressed_against_the_barrier_makes_the_ego_yield() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let mut cars = [car_at(100.0, 20.0, 5.0)];
         cars[0].shift(road, Vec2::default());
         let mut ego = ego_at(100.0, cars[0].at.d - 1.2, 5.0);
@@ -338,7 +339,7 @@ mod tests {
 
     #[test]
     fn the_barrier_turns_the_ego_along_the_road_and_costs_speed() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let mut ego = ego_at(100.0, 5.0, 15.0);
         ego.yaw += 0.4;
         let mut impulse = 0.0;
@@ -358,7 +359,7 @@ mod tests {
 
     #[test]
     fn leaning_on_the_barrier_costs_speed() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let frames = 100;
         let roll = |ego: &mut Ego| {
             for _ in 0..frames {
@@ -377,7 +378,7 @@ mod tests {
 
     #[test]
     fn being_shoved_hard_makes_the_other_driver_brake() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let brakes_after = |ego_speed| {
             let mut cars = [car_at(104.0, 0.0, 10.0)];
             resolve_ego(road, &mut ego_at(100.0, 0.0, ego_speed), &mut cars);
@@ -389,7 +390,7 @@ mod tests {
 
     #[test]
     fn no_contact_no_impulse() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let mut ego = ego_at(100.0, 0.0, 15.0);
         let before = ego.clone();
         let impulses = resolve_ego(

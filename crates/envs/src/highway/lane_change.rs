@@ -111,6 +111,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
+    use crate::highway::maps::Map;
     use crate::highway::road::{Frenet, lane_center};
 
     /// The one who asks, in the rightmost lane behind a slow leader, with a follower in the next lane.
@@ -135,7 +136,7 @@ mod tests {
         })
         .collect();
         let bodies: Vec<Body> = cars.iter().map(Car::body).collect();
-        decide(Road::shared(), &cars, &bodies, 0)
+        decide(Map::Loop.road(), &cars, &bodies, 0)
     }
 
     #[test]

@@ -8,9 +8,11 @@ mod collision;
 mod ego;
 mod following;
 mod lane_change;
+mod maps;
 mod metrics;
 mod reward;
 mod road;
+mod scene;
 mod spawn;
 mod traffic;
 mod world;
@@ -20,17 +22,21 @@ use isodream_core::config::{EnvConfig, RepeatReward};
 
 pub(crate) use self::car::{Build, Car};
 #[cfg(test)]
+pub(crate) use self::maps::Map;
+#[cfg(test)]
 pub(crate) use self::road::lane_center;
 pub(crate) use self::road::{BARRIER_D, Frenet, LANE_WIDTH, LANES, LANES_HALF_WIDTH, Road};
+pub(crate) use self::scene::Scene;
 pub(crate) use self::world::World;
 
 use crate::environment::{EndReason, PrivilegedView};
-use crate::render::{Light, Renderer};
+use crate::render::Renderer;
 use crate::{EnvError, Environment, Transition};
 
 /// The highway environment. Action: `[steer, pedal]`, steer 1 is full right, pedal 1 full throttle and -1 full brake.
 pub(crate) struct Highway {
     spec: EnvSpec,
+    scene: Scene,
     repeat_reward: RepeatReward,
     vehicles: u32,
     renderer: Renderer,
@@ -42,10 +48,11 @@ pub(crate) struct Highway {
 impl Highway {
     pub(crate) const ACTION_DIM: usize = 2;
 
-    pub(crate) fn new(config: &EnvConfig, spec: EnvSpec, light: Light) -> Self {
+    pub(crate) fn new(config: &EnvConfig, spec: EnvSpec, scene: Scene) -> Self {
         Self {
-            renderer: Renderer::new(spec.image.height, light),
+            renderer: Renderer::new(spec.image.height, scene.light),
             spec,
+            scene,
             repeat_reward: config.repeat_reward,
             vehicles: config.vehicles,
             world: None,
@@ -77,7 +84,9 @@ impl Environment for Highway {
     }
 
     fn reset(&mut self, seed: u64) -> Result<Transition, EnvError> {
-        let world = self.world.insert(World::new(seed, self.vehicles));
+        let world = self
+            .world
+            .insert(World::new(self.scene.map, seed, self.vehicles));
         self.steps = 0;
         self.is_over = false;
         Ok(Transition {

@@ -146,11 +146,12 @@ mod tests {
 
     use super::*;
     use crate::highway::collision::first_contact;
+    use crate::highway::maps::Map;
     use crate::highway::road::lane_center;
 
     #[test]
     fn cars_start_near_the_ego_and_touch_nobody() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         for seed in 0..50 {
             let ego_lane = seed as usize % LANES;
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -169,7 +170,7 @@ mod tests {
 
     #[test]
     fn more_cars_than_fit_within_forty_metres_start_farther_out() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let cars = initial(road, &mut rng, 60, 900.0, 2);
         assert_eq!(cars.len(), 60);

@@ -106,11 +106,12 @@ mod tests {
     use rand::SeedableRng;
 
     use super::*;
+    use crate::highway::maps::Map;
     use crate::highway::road::{Frenet, lane_center};
 
     #[test]
     fn traffic_alone_never_collides() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         for seed in 0..3 {
             let mut traffic = Traffic::new(road, ChaCha8Rng::seed_from_u64(seed), 30, 500.0, 0);
             let mut reference = 500.0;
@@ -139,7 +140,7 @@ mod tests {
 
     #[test]
     fn about_all_cars_stay_near_the_reference() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         for ego_speed in [0.0, 11.0, 22.0] {
             let mut traffic = Traffic::new(road, ChaCha8Rng::seed_from_u64(5), 30, 500.0, 0);
             let mut reference = 500.0;
@@ -164,7 +165,7 @@ mod tests {
 
     #[test]
     fn a_follower_brakes_within_two_frames_of_a_cut_in() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let mut traffic = Traffic::new(road, ChaCha8Rng::seed_from_u64(1), 1, 500.0, 0);
         let follower = &mut traffic.cars[0];
         follower.lane = 1;
@@ -200,7 +201,7 @@ mod tests {
 
     #[test]
     fn following_an_ego_that_was_always_there_is_no_interaction() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let mut traffic = Traffic::new(road, ChaCha8Rng::seed_from_u64(1), 1, 500.0, 0);
         let follower = &mut traffic.cars[0];
         follower.lane = 1;
@@ -220,7 +221,7 @@ mod tests {
 
     #[test]
     fn a_lane_change_is_seen_before_the_body_gets_there() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let mut traffic = Traffic::new(road, ChaCha8Rng::seed_from_u64(1), 2, 500.0, 0);
         for (car, (lane, s, speed)) in
             (traffic.cars.iter_mut()).zip([(2, 480.0, 14.0), (1, 498.0, 9.0)])

@@ -8,6 +8,7 @@ use crate::environment::{EndReason, NearbyVehicle, PrivilegedView};
 use crate::highway::car::Body;
 use crate::highway::collision::{self, Impulses};
 use crate::highway::ego::{self, DT, Ego, LENGTH, WHEELBASE};
+use crate::highway::maps::Map;
 use crate::highway::metrics::Metrics;
 use crate::highway::reward::{frame_reward, lane_direction};
 use crate::highway::road::{
@@ -39,12 +40,12 @@ pub(crate) struct World {
 }
 
 impl World {
-    pub(crate) fn new(seed: u64, vehicles: u32) -> Self {
-        let road = Road::shared();
+    pub(crate) fn new(map: Map, seed: u64, vehicles: u32) -> Self {
+        let road = map.road();
         let stream = |name| ChaCha8Rng::seed_from_u64(derive_seed(seed, &["highway", name]));
         let mut rng = stream("ego");
         let lane = rng.random_range(0..LANES);
-        let s = rng.random_range(0.0..road.length());
+        let s = rng.random_range(road.starts());
         let ego = Ego::at_rest(
             road,
             Frenet {
@@ -159,7 +160,7 @@ mod tests {
 
     #[test]
     fn cutting_in_makes_an_interaction_and_slows_the_follower() {
-        let mut world = World::new(1, 1);
+        let mut world = World::new(Map::Loop, 1, 1);
         let road = world.road;
         world.ego = Ego::at_rest(
             road,
@@ -198,7 +199,7 @@ mod tests {
 
     #[test]
     fn leaving_the_road_ends_the_episode() {
-        let mut world = World::new(1, 0);
+        let mut world = World::new(Map::Loop, 1, 0);
         world.ego = Ego::at_rest(
             world.road,
             Frenet {
@@ -211,7 +212,7 @@ mod tests {
 
     #[test]
     fn standing_ends_the_episode_at_the_check_and_not_before() {
-        let mut world = World::new(1, 0);
+        let mut world = World::new(Map::Loop, 1, 0);
         for frame in 1..100 {
             assert_eq!(world.step(0.0, -1.0).end, None, "frame {frame}");
         }
@@ -220,7 +221,7 @@ mod tests {
 
     #[test]
     fn rewards_forward_speed_by_hand() {
-        let mut world = World::new(1, 0);
+        let mut world = World::new(Map::Loop, 1, 0);
         world.ego.speed = 20.0;
         let reward = world.step(0.0, 0.0).reward;
         assert!((reward - 1.0).abs() < 0.01, "{reward}");
@@ -228,7 +229,7 @@ mod tests {
 
     #[test]
     fn the_ego_takes_up_every_lane_that_its_body_overlaps() {
-        let mut world = World::new(1, 0);
+        let mut world = World::new(Map::Loop, 1, 0);
         let d = lane_center(1) + 1.2;
         world.ego = Ego::at_rest(world.road, Frenet { s: 50.0, d });
         let body = world.ego_body();
@@ -238,7 +239,7 @@ mod tests {
 
     #[test]
     fn a_collision_costs_its_impulse() {
-        let mut world = World::new(1, 1);
+        let mut world = World::new(Map::Loop, 1, 1);
         let road = world.road;
         world.ego = Ego::at_rest(
             road,
