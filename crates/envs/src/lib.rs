@@ -27,7 +27,10 @@ mod highway;
 mod registry;
 mod render;
 
-pub use driver::{Driver, KeepLaneDriver, OvertakeDriver, RandomDriver, ScriptedDriver};
+pub use driver::{
+    CutInDriver, Driver, KeepLaneDriver, OvertakeDriver, RandomDriver, RecklessDriver,
+    ScriptedDriver, StandStillDriver,
+};
 pub use environment::{EndReason, Environment, NearbyVehicle, PrivilegedView, Transition, class};
 pub use error::EnvError;
 pub use registry::{ids, make, spec};
