@@ -204,22 +204,50 @@ fn the_spec_is_that_of_the_made_environment() {
     assert_eq!(made.segmentation().unwrap().len(), 33 * 33);
 }
 
+fn mean_return(env: &mut dyn Environment, driver: ScriptedDriver, seeds: u64) -> f64 {
+    let sum: f64 = (0..seeds)
+        .map(|seed| total(&episode(env, driver, seed).0))
+        .sum();
+    sum / seeds as f64
+}
+
 #[test]
 fn better_drivers_earn_more() {
-    const SEEDS: u64 = 10;
-    let mut env = env("highway/day");
-    let mut mean_return = |driver| {
-        let sum: f64 = (0..SEEDS)
-            .map(|seed| total(&episode(env.as_mut(), driver, seed).0))
-            .sum();
-        sum / SEEDS as f64
-    };
-    let random = mean_return(ScriptedDriver::Random);
-    let keep_lane = mean_return(ScriptedDriver::KeepLane);
-    let overtake = mean_return(ScriptedDriver::Overtake);
-    println!("random {random:.1}, keep_lane {keep_lane:.1}, overtake {overtake:.1}");
-    assert!(keep_lane > random + 100.0);
-    assert!(overtake > keep_lane + 3.0);
+    for (id, seeds) in [("highway/day", 10), ("highway/s_curve/day", 4)] {
+        let mut env = env(id);
+        let returns = [
+            ScriptedDriver::Overtake,
+            ScriptedDriver::KeepLane,
+            ScriptedDriver::Reckless,
+            ScriptedDriver::StandStill,
+            ScriptedDriver::Random,
+        ]
+        .map(|driver| mean_return(env.as_mut(), driver, seeds));
+        println!("{id}: {returns:.1?}");
+        assert!(returns[0] > returns[1] + 3.0);
+        assert!(returns[1] > returns[2] + 10.0);
+        assert!(returns[2] > returns[3] + 30.0);
+        assert!(returns[3] > returns[4]);
+    }
+}
+
+#[test]
+fn in_a_jam_whoever_cuts_in_earns_more_than_whoever_waits() {
+    let mut env = env("highway/jam/day");
+    let returns = [
+        ScriptedDriver::CutIn,
+        ScriptedDriver::Overtake,
+        ScriptedDriver::KeepLane,
+    ]
+    .map(|driver| mean_return(env.as_mut(), driver, 8));
+    println!("{returns:.1?}");
+    assert!(returns[0] > returns[1] + 30.0);
+    assert!(returns[1] > returns[2] - 2.0);
+    for seed in 0..4 {
+        let (transitions, metrics) = episode(env.as_mut(), ScriptedDriver::CutIn, seed);
+        assert!(transitions.iter().any(|t| t.interaction));
+        assert_eq!(metric(&metrics, "collisions"), 0.0);
+    }
 }
 
 #[test]

@@ -16,7 +16,7 @@ pub enum RepeatReward {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EnvConfig {
-    /// Stable name, for example `highway/day` (a closed loop), `highway/straight/night` or `highway/s_curve/day`.
+    /// Stable name, for example `highway/day` (a closed loop), `highway/straight/night`, `highway/s_curve/day` or `highway/jam/day`.
     pub id: String,
     /// Height and width of the picture in pixels; the networks take 64.
     pub image_size: usize,

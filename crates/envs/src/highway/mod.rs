@@ -7,6 +7,7 @@ mod car;
 mod collision;
 mod ego;
 mod following;
+mod jam;
 mod lane_change;
 mod maps;
 mod metrics;
@@ -86,7 +87,7 @@ impl Environment for Highway {
     fn reset(&mut self, seed: u64) -> Result<Transition, EnvError> {
         let world = self
             .world
-            .insert(World::new(self.scene.map, seed, self.vehicles));
+            .insert(World::new(self.scene, seed, self.vehicles));
         self.steps = 0;
         self.is_over = false;
         Ok(Transition {

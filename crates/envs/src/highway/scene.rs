@@ -3,14 +3,24 @@
 use crate::highway::maps::Map;
 use crate::render::Light;
 
-/// A road and the time of day.
+/// A road, what drives on it, and the time of day.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Scene {
     pub(crate) map: Map,
+    pub(crate) flow: Flow,
     pub(crate) light: Light,
 }
 
-const SCENES: [(&str, Scene); 6] = [
+/// How dense and how free the traffic is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Flow {
+    /// Everyone drives and changes lanes as they like.
+    Free,
+    /// A [`Jam`](crate::highway::jam::Jam).
+    Jam,
+}
+
+const SCENES: [(&str, Scene); 8] = [
     ("highway/day", Scene::new(Map::Loop, Light::Day)),
     ("highway/night", Scene::new(Map::Loop, Light::Night)),
     (
@@ -21,6 +31,8 @@ const SCENES: [(&str, Scene); 6] = [
         "highway/straight/night",
         Scene::new(Map::Straight, Light::Night),
     ),
+    ("highway/jam/day", Scene::jam(Light::Day)),
+    ("highway/jam/night", Scene::jam(Light::Night)),
     ("highway/s_curve/day", Scene::new(Map::SCurve, Light::Day)),
     (
         "highway/s_curve/night",
@@ -40,8 +52,18 @@ impl Scene {
         ids
     };
 
-    const fn new(map: Map, light: Light) -> Self {
-        Self { map, light }
+    pub(crate) const fn new(map: Map, light: Light) -> Self {
+        let flow = Flow::Free;
+        Self { map, flow, light }
+    }
+
+    /// On the straight, so that nothing but the others decides what pays.
+    pub(crate) const fn jam(light: Light) -> Self {
+        Self {
+            map: Map::Straight,
+            flow: Flow::Jam,
+            light,
+        }
     }
 
     pub(crate) fn from_id(id: &str) -> Option<Self> {

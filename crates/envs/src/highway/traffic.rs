@@ -6,6 +6,7 @@ use crate::highway::car::{Body, Car};
 use crate::highway::collision;
 use crate::highway::ego::DT;
 use crate::highway::following::acceleration;
+use crate::highway::jam::Jam;
 use crate::highway::lane_change::{decide, leader, neighbours};
 use crate::highway::road::{LANES, Road};
 use crate::highway::spawn;
@@ -29,6 +30,8 @@ pub(crate) struct Traffic {
     pub(crate) cars: Vec<Car>,
     bodies: Vec<Body>,
     rng: ChaCha8Rng,
+    /// In a jam, nobody changes lanes.
+    jam: Option<Jam>,
 }
 
 impl Traffic {
@@ -44,18 +47,41 @@ impl Traffic {
             cars: spawn::initial(road, &mut rng, count, s, ego_lane),
             bodies: Vec::with_capacity(count + 1),
             rng,
+            jam: None,
+        }
+    }
+
+    /// A [`Jam`] of `count` cars around `s`, where the ego starts in `ego_lane`.
+    pub(crate) fn jammed(
+        road: &Road,
+        mut rng: ChaCha8Rng,
+        count: usize,
+        s: f64,
+        ego_lane: usize,
+    ) -> Self {
+        let jam = Jam::around(ego_lane);
+        Self {
+            cars: jam.initial(road, &mut rng, count, s),
+            bodies: Vec::with_capacity(count + 1),
+            rng,
+            jam: Some(jam),
         }
     }
 
     /// One frame; whether a car had to brake because the ego took its lane.
     pub(crate) fn step(&mut self, road: &Road, reference_s: f64, ego: Option<&EgoBody>) -> bool {
-        spawn::recycle(road, &mut self.rng, &mut self.cars, reference_s, ego);
+        match self.jam {
+            None => spawn::recycle(road, &mut self.rng, &mut self.cars, reference_s, ego),
+            Some(jam) => jam.recycle(road, &mut self.rng, &mut self.cars, reference_s),
+        }
         self.bodies.clear();
         self.bodies.extend(self.cars.iter().map(Car::body));
         self.bodies.extend(ego.map(|ego| ego.body));
 
         let interaction = self.follow(road, ego);
-        self.change_lanes(road);
+        if self.jam.is_none() {
+            self.change_lanes(road);
+        }
         for car in &mut self.cars {
             car.advance(road);
         }
@@ -69,7 +95,11 @@ impl Traffic {
         for (index, car) in self.cars.iter_mut().enumerate() {
             let lanes = self.bodies[index].lanes;
             let ahead = neighbours(road, &self.bodies, index, lanes, None).ahead;
-            let wanted = acceleration(&car.temper, car.speed, leader(&self.bodies, ahead));
+            let followed = leader(&self.bodies, ahead);
+            let wanted = match self.jam {
+                None => acceleration(&car.temper, car.speed, followed),
+                Some(jam) => jam.acceleration(car.lane, &car.temper, car.speed, followed),
+            };
             car.acceleration = car.after_shock(wanted);
             let Some(ego) = ego.filter(|_| ahead.is_some_and(|(leader, _)| leader == ego_index))
             else {

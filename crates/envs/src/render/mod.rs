@@ -126,11 +126,11 @@ impl Renderer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::highway::{Frenet, Map, lane_center};
+    use crate::highway::{Frenet, Map, Scene, lane_center};
 
     /// The ego in lane 1 on a straight piece, and one car `ahead` of it in `lane`.
     fn world_with_car(ahead: f64, lane: usize) -> World {
-        let mut world = World::new(Map::Loop, 1, 1);
+        let mut world = World::new(Scene::new(Map::Loop, Light::Day), 1, 1);
         let s = 1_000.0;
         world.ego.at = Frenet {
             s,
