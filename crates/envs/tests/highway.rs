@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
+use std::collections::BTreeSet;
+
 use isodream_core::config::{EnvConfig, RepeatReward};
 use isodream_envs::{
     EndReason, EnvError, Environment, ScriptedDriver, Transition, class, ids, make, spec,
@@ -62,6 +64,34 @@ fn day_and_night_differ_in_pictures_only() {
         assert_eq!(day.reward, night.reward);
         assert!(brightness(night) * 2 < brightness(day));
     }
+}
+
+#[test]
+fn drifting_weather_changes_pictures_only_and_follows_from_the_seed() {
+    let drifting = |id: &str| {
+        make(&EnvConfig {
+            id: id.into(),
+            weather_drift: true,
+            ..EnvConfig::default()
+        })
+        .unwrap()
+    };
+    for id in ["highway/day", "highway/night"] {
+        let (fine, _) = episode(env(id).as_mut(), ScriptedDriver::Overtake, 5);
+        let mut env = drifting(id);
+        let (drift, _) = episode(env.as_mut(), ScriptedDriver::Overtake, 5);
+        let (again, _) = episode(env.as_mut(), ScriptedDriver::Overtake, 5);
+        assert_eq!(drift, again, "{id}");
+        assert_eq!(drift.len(), fine.len());
+        for (drift, fine) in drift.iter().zip(&fine) {
+            assert_eq!(drift.reward, fine.reward);
+            assert_ne!(drift.image, fine.image);
+        }
+    }
+    let mut env = drifting("highway/straight/day");
+    let mut sky = |seed| env.reset(seed).unwrap().image[..3].to_vec();
+    let skies: BTreeSet<Vec<u8>> = (0..8).map(&mut sky).collect();
+    assert!(skies.len() > 4, "{skies:?}");
 }
 
 #[test]

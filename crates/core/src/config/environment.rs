@@ -28,6 +28,9 @@ pub struct EnvConfig {
     pub repeat_reward: RepeatReward,
     /// Other vehicles near the ego.
     pub vehicles: u32,
+    /// Highway: the sun's height swings and storms come and go during an episode, as in the authors' driving setup.
+    /// Off by default, so that day and night are one look each and a change of it can be tested apart.
+    pub weather_drift: bool,
 }
 
 impl Default for EnvConfig {
@@ -39,6 +42,7 @@ impl Default for EnvConfig {
             time_limit: 250,
             repeat_reward: RepeatReward::Mean,
             vehicles: 30,
+            weather_drift: false,
         }
     }
 }

@@ -16,6 +16,7 @@ mod road;
 mod scene;
 mod spawn;
 mod traffic;
+mod weather;
 mod world;
 
 use isodream_core::EnvSpec;
@@ -28,6 +29,9 @@ pub(crate) use self::maps::Map;
 pub(crate) use self::road::lane_center;
 pub(crate) use self::road::{BARRIER_D, Frenet, LANE_WIDTH, LANES, LANES_HALF_WIDTH, Road};
 pub(crate) use self::scene::Scene;
+pub(crate) use self::weather::Weather;
+#[cfg(test)]
+pub(crate) use self::weather::tests::weather;
 pub(crate) use self::world::World;
 
 use crate::environment::{EndReason, PrivilegedView};
@@ -40,6 +44,7 @@ pub(crate) struct Highway {
     scene: Scene,
     repeat_reward: RepeatReward,
     vehicles: u32,
+    weather_drift: bool,
     renderer: Renderer,
     world: Option<World>,
     steps: u32,
@@ -56,6 +61,7 @@ impl Highway {
             scene,
             repeat_reward: config.repeat_reward,
             vehicles: config.vehicles,
+            weather_drift: config.weather_drift,
             world: None,
             steps: 0,
             is_over: false,
@@ -85,9 +91,11 @@ impl Environment for Highway {
     }
 
     fn reset(&mut self, seed: u64) -> Result<Transition, EnvError> {
-        let world = self
-            .world
-            .insert(World::new(self.scene, seed, self.vehicles));
+        let mut world = World::new(self.scene, seed, self.vehicles);
+        if self.weather_drift {
+            world.let_weather_drift(seed);
+        }
+        let world = self.world.insert(world);
         self.steps = 0;
         self.is_over = false;
         Ok(Transition {

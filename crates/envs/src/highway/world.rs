@@ -15,6 +15,7 @@ use crate::highway::road::{
 };
 use crate::highway::scene::{Flow, Scene};
 use crate::highway::traffic::{EgoBody, TAKEN_S, Traffic};
+use crate::highway::weather::Weather;
 
 /// Every so many frames the ego must be moving.
 const STUCK_CHECK_FRAMES: u32 = 100;
@@ -34,6 +35,8 @@ pub(crate) struct World {
     pub(crate) ego: Ego,
     pub(crate) traffic: Traffic,
     pub(crate) metrics: Metrics,
+    /// `None` where it stays fine.
+    pub(crate) weather: Option<Weather>,
     frames: u32,
     /// For how long the ego has been in each lane without a break; 0 where it is not.
     in_lane_s: [f64; LANES],
@@ -42,8 +45,7 @@ pub(crate) struct World {
 impl World {
     pub(crate) fn new(scene: Scene, seed: u64, vehicles: u32) -> Self {
         let road = scene.map.road();
-        let stream = |name| ChaCha8Rng::seed_from_u64(derive_seed(seed, &["highway", name]));
-        let mut rng = stream("ego");
+        let mut rng = stream(seed, "ego");
         let lanes = match scene.flow {
             Flow::Free => LANES,
             // There must be a lane that flows to its left.
@@ -61,7 +63,7 @@ impl World {
         let mut in_lane_s = [0.0; LANES];
         // The ego did not take the lane it starts in from anyone.
         in_lane_s[lane] = f64::INFINITY;
-        let (traffic_rng, vehicles) = (stream("traffic"), vehicles as usize);
+        let (traffic_rng, vehicles) = (stream(seed, "traffic"), vehicles as usize);
         Self {
             road,
             traffic: match scene.flow {
@@ -69,15 +71,24 @@ impl World {
                 Flow::Jam => Traffic::jammed(road, traffic_rng, vehicles, s, lane),
             },
             metrics: Metrics::new(lane),
+            weather: None,
             ego,
             frames: 0,
             in_lane_s,
         }
     }
 
+    /// Gives the episode weather that drifts, from a stream of its own: nothing else changes.
+    pub(crate) fn let_weather_drift(&mut self, seed: u64) {
+        self.weather = Some(Weather::random(&mut stream(seed, "weather")));
+    }
+
     /// One frame of [`DT`]. `steer` is positive to the right; `pedal` is throttle if positive, else brake.
     pub(crate) fn step(&mut self, steer: f64, pedal: f64) -> Frame {
         self.frames += 1;
+        if let Some(weather) = &mut self.weather {
+            weather.step();
+        }
         let before = self.ego.at;
         self.ego.advance(self.road, steer, pedal);
         let body = self.ego_body();
@@ -166,6 +177,11 @@ impl World {
                 .collect(),
         }
     }
+}
+
+/// The random numbers that `seed` gives to one part of the world.
+fn stream(seed: u64, part: &str) -> ChaCha8Rng {
+    ChaCha8Rng::seed_from_u64(derive_seed(seed, &["highway", part]))
 }
 
 #[cfg(test)]
