@@ -238,33 +238,45 @@ fn collide(ego: &mut Ego, point: Vec2, normal: Vec2, other: &Other) -> Vec2 {
     impulse
 }
 
-/// Takes apart cars that were pushed into each other.
-pub(crate) fn separate_cars(road: &Road, cars: &mut [Car]) {
-    for first in 0..cars.len() {
-        for second in first + 1..cars.len() {
-            let Some(hit) = car_contact(road, &cars[first], &cars[second]) else {
-                continue;
-            };
-            let (mass_a, mass_b) = (cars[first].build.mass_kg(), cars[second].build.mass_kg());
-            let velocity_a = cars[first].velocity(road);
-            let velocity_b = cars[second].velocity(road);
-            let closing = (velocity_a - velocity_b).dot(hit.normal).max(0.0);
-            let push = hit.normal * ((1.0 + RESTITUTION) * closing / (1.0 / mass_a + 1.0 / mass_b));
-            cars[first].set_velocity(road, velocity_a - push * (1.0 / mass_a));
-            cars[second].set_velocity(road, velocity_b + push * (1.0 / mass_b));
-            let apart = hit.normal * (0.5 * hit.depth + 1e-6);
-            cars[first].shift(road, -apart);
-            cars[second].shift(road, apart);
-        }
+/// Cars farther apart than this at the start of a frame do not touch at its end.
+pub(crate) const MAY_TOUCH_M: f64 = 12.0;
+
+/// Takes apart cars that were pushed into each other, of those in `pairs`. The first two that were.
+pub(crate) fn separate_cars(
+    road: &Road,
+    cars: &mut [Car],
+    pairs: &[(usize, usize)],
+) -> Option<(usize, usize)> {
+    let mut touching = None;
+    for &(first, second) in pairs {
+        let Some(hit) = car_contact(road, &cars[first], &cars[second]) else {
+            continue;
+        };
+        touching = touching.or(Some((first, second)));
+        let (mass_a, mass_b) = (cars[first].build.mass_kg(), cars[second].build.mass_kg());
+        let velocity_a = cars[first].velocity(road);
+        let velocity_b = cars[second].velocity(road);
+        let closing = (velocity_a - velocity_b).dot(hit.normal).max(0.0);
+        let push = hit.normal * ((1.0 + RESTITUTION) * closing / (1.0 / mass_a + 1.0 / mass_b));
+        cars[first].set_velocity(road, velocity_a - push * (1.0 / mass_a));
+        cars[second].set_velocity(road, velocity_b + push * (1.0 / mass_b));
+        let apart = hit.normal * (0.5 * hit.depth + 1e-6);
+        cars[first].shift(road, -apart);
+        cars[second].shift(road, apart);
     }
+    touching
+}
+
+/// A bound of half a car's extent across a straight road; a bend adds less than a quarter of a metre to it.
+fn reach_across(car: &Car) -> f64 {
+    car.half_width() + car.half_length() * (car.sideways / car.speed.max(4.0)).abs()
 }
 
 fn car_contact(road: &Road, a: &Car, b: &Car) -> Option<Contact> {
-    // Most pairs are far apart: this spares their rotations.
-    let diagonal = a.half_length() + b.half_length() + 2.0;
-    if road.ahead(a.at.s, b.at.s).abs() > diagonal
-        || (a.at.d - b.at.d).abs() > a.half_width() + b.half_width() + 2.0
-    {
+    // Most pairs are far apart or side by side: this spares their rotations.
+    let along = a.half_length() + b.half_length() + 2.0;
+    let across = reach_across(a) + reach_across(b) + 0.5;
+    if (a.at.d - b.at.d).abs() > across || road.ahead(a.at.s, b.at.s).abs() > along {
         return None;
     }
     contact(&Rectangle::of_car(road, a), &Rectangle::of_car(road, b))

@@ -5,6 +5,7 @@
 
 mod car;
 mod collision;
+mod column;
 mod ego;
 mod following;
 mod jam;

@@ -4,10 +4,11 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::highway::car::{Body, Car};
 use crate::highway::collision;
+use crate::highway::column::{Column, Neighbour};
 use crate::highway::ego::DT;
 use crate::highway::following::acceleration;
 use crate::highway::jam::Jam;
-use crate::highway::lane_change::{decide, leader, neighbours};
+use crate::highway::lane_change::decide;
 use crate::highway::road::{LANES, Road};
 use crate::highway::spawn;
 
@@ -28,7 +29,10 @@ pub(crate) struct EgoBody {
 #[derive(Debug, Clone)]
 pub(crate) struct Traffic {
     pub(crate) cars: Vec<Car>,
-    bodies: Vec<Body>,
+    /// The first two cars that touched each other in the newest frame.
+    pub(crate) touching: Option<(usize, usize)>,
+    column: Column,
+    close: Vec<(usize, usize)>,
     rng: ChaCha8Rng,
     /// In a jam, nobody changes lanes.
     jam: Option<Jam>,
@@ -45,7 +49,9 @@ impl Traffic {
     ) -> Self {
         Self {
             cars: spawn::initial(road, &mut rng, count, s, ego_lane),
-            bodies: Vec::with_capacity(count + 1),
+            touching: None,
+            column: Column::default(),
+            close: Vec::new(),
             rng,
             jam: None,
         }
@@ -62,7 +68,9 @@ impl Traffic {
         let jam = Jam::around(ego_lane);
         Self {
             cars: jam.initial(road, &mut rng, count, s),
-            bodies: Vec::with_capacity(count + 1),
+            touching: None,
+            column: Column::default(),
+            close: Vec::new(),
             rng,
             jam: Some(jam),
         }
@@ -74,9 +82,9 @@ impl Traffic {
             None => spawn::recycle(road, &mut self.rng, &mut self.cars, reference_s, ego),
             Some(jam) => jam.recycle(road, &mut self.rng, &mut self.cars, reference_s),
         }
-        self.bodies.clear();
-        self.bodies.extend(self.cars.iter().map(Car::body));
-        self.bodies.extend(ego.map(|ego| ego.body));
+        let bodies = self.cars.iter().map(Car::body);
+        self.column
+            .arrange(road, reference_s, bodies.chain(ego.map(|ego| ego.body)));
 
         let interaction = self.follow(road, ego);
         if self.jam.is_none() {
@@ -85,7 +93,9 @@ impl Traffic {
         for car in &mut self.cars {
             car.advance(road);
         }
-        collision::separate_cars(road, &mut self.cars);
+        self.column
+            .close_pairs(self.cars.len(), collision::MAY_TOUCH_M, &mut self.close);
+        self.touching = collision::separate_cars(road, &mut self.cars, &self.close);
         interaction
     }
 
@@ -93,21 +103,21 @@ impl Traffic {
         let ego_index = self.cars.len();
         let mut interaction = false;
         for (index, car) in self.cars.iter_mut().enumerate() {
-            let lanes = self.bodies[index].lanes;
-            let ahead = neighbours(road, &self.bodies, index, lanes, None).ahead;
-            let followed = leader(&self.bodies, ahead);
+            let lanes = self.column.body(index).lanes;
+            let ahead = self.column.ahead_of(road, index, lanes, None);
+            let followed = ahead.map(Neighbour::as_leader);
             let wanted = match self.jam {
                 None => acceleration(&car.temper, car.speed, followed),
                 Some(jam) => jam.acceleration(car.lane, &car.temper, car.speed, followed),
             };
             car.acceleration = car.after_shock(wanted);
-            let Some(ego) = ego.filter(|_| ahead.is_some_and(|(leader, _)| leader == ego_index))
+            let Some(ego) = ego.filter(|_| ahead.is_some_and(|leader| leader.index == ego_index))
             else {
                 continue;
             };
             if wanted < -INTERACTION_M_S2 && lanes & ego.taken != 0 {
-                let other = neighbours(road, &self.bodies, index, lanes, Some(ego_index)).ahead;
-                let alone = acceleration(&car.temper, car.speed, leader(&self.bodies, other));
+                let other = self.column.ahead_of(road, index, lanes, Some(ego_index));
+                let alone = acceleration(&car.temper, car.speed, other.map(Neighbour::as_leader));
                 interaction |= alone - wanted > INTERACTION_M_S2;
             }
         }
@@ -121,11 +131,11 @@ impl Traffic {
                 continue;
             }
             self.cars[index].until_decision_s += DECISION_EVERY_S;
-            if let Some(lane) = decide(road, &self.cars, &self.bodies, index) {
+            if let Some(lane) = decide(road, &self.cars, &self.column, index) {
                 debug_assert!(lane < LANES);
                 self.cars[index].lane = lane;
                 // Those who decide later in this frame must already see the lane as taken.
-                self.bodies[index] = self.cars[index].body();
+                self.column.set_lanes(index, self.cars[index].body().lanes);
             }
         }
     }
