@@ -33,4 +33,5 @@ pub use driver::{
 };
 pub use environment::{EndReason, Environment, NearbyVehicle, PrivilegedView, Transition, class};
 pub use error::EnvError;
+pub use highway::{TrafficReport, traffic_without_collisions};
 pub use registry::{ids, make, spec};

@@ -3,13 +3,10 @@
 use isodream_core::config::EnvConfig;
 use isodream_core::{EnvSpec, ImageShape};
 
-use crate::highway::{Highway, Scene};
+use crate::highway::{Highway, MAX_VEHICLES, Scene};
 use crate::{EnvError, Environment};
 
 const IDS: &[&str] = &Scene::IDS;
-
-/// More cars than this do not fit into the traffic's window.
-const MAX_VEHICLES: u32 = 60;
 
 /// The ids that [`make`] knows.
 pub fn ids() -> &'static [&'static str] {

@@ -281,6 +281,29 @@ fn in_a_jam_whoever_cuts_in_earns_more_than_whoever_waits() {
 }
 
 #[test]
+fn every_density_can_be_driven_and_an_empty_road_is_fastest() {
+    let returns = [0, 30, 60].map(|vehicles| {
+        let mut env = make(&EnvConfig {
+            vehicles,
+            ..EnvConfig::default()
+        })
+        .unwrap();
+        env.reset(2).unwrap();
+        let cars = env.privileged().unwrap().vehicles;
+        assert_eq!(cars.len(), vehicles as usize);
+        let near = cars.iter().filter(|car| car.ahead_m.abs() < 100.0).count();
+        assert_eq!(near, cars.len());
+        let (transitions, metrics) = episode(env.as_mut(), ScriptedDriver::Overtake, 2);
+        assert_eq!(transitions.len(), 251, "{vehicles} cars");
+        assert_eq!(metric(&metrics, "collisions"), 0.0, "{vehicles} cars");
+        total(&transitions)
+    });
+    println!("{returns:.1?}");
+    assert!(returns[0] > returns[1] + 20.0 && returns[0] > returns[2] + 40.0);
+    assert!(returns[2] > 20.0, "traffic jams: {returns:?}");
+}
+
+#[test]
 fn driving_blindly_does_not_pay() {
     let mut env = env("highway/day");
     let seeds = 0..6;

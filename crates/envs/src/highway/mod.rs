@@ -15,6 +15,7 @@ mod metrics;
 mod reward;
 mod road;
 mod scene;
+mod soak;
 mod spawn;
 mod traffic;
 mod weather;
@@ -30,6 +31,7 @@ pub(crate) use self::maps::Map;
 pub(crate) use self::road::lane_center;
 pub(crate) use self::road::{BARRIER_D, Frenet, LANE_WIDTH, LANES, LANES_HALF_WIDTH, Road};
 pub(crate) use self::scene::Scene;
+pub use self::soak::{TrafficReport, traffic_without_collisions};
 pub(crate) use self::weather::Weather;
 #[cfg(test)]
 pub(crate) use self::weather::tests::weather;
@@ -38,6 +40,9 @@ pub(crate) use self::world::World;
 use crate::environment::{EndReason, PrivilegedView};
 use crate::render::Renderer;
 use crate::{EnvError, Environment, Transition};
+
+/// More cars than this do not fit into the traffic's window.
+pub(crate) const MAX_VEHICLES: u32 = 60;
 
 /// The highway environment. Action: `[steer, pedal]`, steer 1 is full right, pedal 1 full throttle and -1 full brake.
 pub(crate) struct Highway {

@@ -12,13 +12,15 @@ use crate::highway::traffic::EgoBody;
 /// Cars start no farther from the ego than this, unless they are too many.
 const START_WITHIN_M: f64 = 40.0;
 const START_GAP_M: f64 = 2.0;
+/// Speed at the start of those who are too many to start at rest.
+const ROLLING_M_S: f64 = 3.0;
 /// A car outside of this window around the ego is replaced by another one at the other end.
 const BEHIND_M: f64 = 95.0;
 const AHEAD_M: f64 = 150.0;
 /// Depth of the strips at both ends in which cars appear: too far away to be seen popping up.
 const STRIP_M: f64 = 20.0;
 
-/// `count` cars at rest, dealt to the four lanes before and behind `s`.
+/// `count` cars, at rest unless they are too many, dealt to the four lanes before and behind `s`.
 pub(crate) fn initial(
     road: &Road,
     rng: &mut ChaCha8Rng,
@@ -47,24 +49,32 @@ pub(crate) fn initial(
 
 /// Spreads `row` over one side of `s`: the slack between the cars is cut at random places.
 fn place_row(road: &Road, rng: &mut ChaCha8Rng, row: &mut [Car], s: f64, side: f64, room: f64) {
-    let taken: f64 = row
-        .iter()
-        .map(|car| 2.0 * car.half_length() + START_GAP_M)
-        .sum();
-    let slack = (START_WITHIN_M - room - taken).max(0.0);
+    let lengths: f64 = row.iter().map(|car| 2.0 * car.half_length()).sum();
+    let slack = START_WITHIN_M - room - lengths - START_GAP_M * row.len() as f64;
+    if slack < 0.0 {
+        // Setting off one by one would take so long that an ego among them counts as stuck.
+        for car in row.iter_mut() {
+            car.speed = ROLLING_M_S;
+        }
+    }
+    let gap = |car: &Car| match slack {
+        slack if slack < 0.0 => car.temper.gap_m + car.temper.headway_s * ROLLING_M_S,
+        _ => START_GAP_M,
+    };
     let mut cuts: Vec<f64> = row
         .iter()
-        .map(|_| rng.random_range(0.0..1.0) * slack)
+        .map(|_| rng.random_range(0.0..1.0) * slack.max(0.0))
         .collect();
     cuts.sort_by(f64::total_cmp);
+    let first = row.first().map_or(START_GAP_M, gap);
     // Half a gap, so that the rows on both sides of `s` keep a whole one.
-    let mut next = room + START_GAP_M / 2.0;
+    let mut next = room + first / 2.0;
     if room > 0.0 {
-        next += START_GAP_M / 2.0;
+        next += first / 2.0;
     }
     for (car, cut) in row.iter_mut().zip(cuts) {
         car.at.s = road.wrap(s + side * (next + cut + car.half_length()));
-        next += 2.0 * car.half_length() + START_GAP_M;
+        next += 2.0 * car.half_length() + gap(car);
     }
 }
 
