@@ -304,6 +304,26 @@ fn every_density_can_be_driven_and_an_empty_road_is_fastest() {
 }
 
 #[test]
+fn nobody_is_stuck_at_the_start_for_waiting_in_a_queue() {
+    for vehicles in [45, 60] {
+        let mut env = make(&EnvConfig {
+            vehicles,
+            ..EnvConfig::default()
+        })
+        .unwrap();
+        for seed in 0..20 {
+            let mut driver = ScriptedDriver::KeepLane.driver(seed);
+            env.reset(seed).unwrap();
+            for step in 0..30 {
+                let action = driver.act(env.as_ref()).unwrap();
+                let end = env.step(&action).unwrap().end_reason;
+                assert_eq!(end, None, "{vehicles} cars, seed {seed}, step {step}");
+            }
+        }
+    }
+}
+
+#[test]
 fn driving_blindly_does_not_pay() {
     let mut env = env("highway/day");
     let seeds = 0..6;

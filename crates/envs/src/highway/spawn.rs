@@ -12,7 +12,8 @@ use crate::highway::traffic::EgoBody;
 /// Cars start no farther from the ego than this, unless they are too many.
 const START_WITHIN_M: f64 = 40.0;
 const START_GAP_M: f64 = 2.0;
-/// Speed at the start of those who are too many to start at rest.
+/// Rows of more cars start rolling: they would set off one by one, and an ego at the end of one count as stuck.
+const MOST_AT_REST: usize = 4;
 const ROLLING_M_S: f64 = 3.0;
 /// A car outside of this window around the ego is replaced by another one at the other end.
 const BEHIND_M: f64 = 95.0;
@@ -49,21 +50,22 @@ pub(crate) fn initial(
 
 /// Spreads `row` over one side of `s`: the slack between the cars is cut at random places.
 fn place_row(road: &Road, rng: &mut ChaCha8Rng, row: &mut [Car], s: f64, side: f64, room: f64) {
-    let lengths: f64 = row.iter().map(|car| 2.0 * car.half_length()).sum();
-    let slack = START_WITHIN_M - room - lengths - START_GAP_M * row.len() as f64;
-    if slack < 0.0 {
-        // Setting off one by one would take so long that an ego among them counts as stuck.
-        for car in row.iter_mut() {
-            car.speed = ROLLING_M_S;
+    let rolls = row.len() > MOST_AT_REST;
+    let gap = |car: &Car| {
+        if rolls {
+            car.temper.gap_m + car.temper.headway_s * ROLLING_M_S
+        } else {
+            START_GAP_M
         }
-    }
-    let gap = |car: &Car| match slack {
-        slack if slack < 0.0 => car.temper.gap_m + car.temper.headway_s * ROLLING_M_S,
-        _ => START_GAP_M,
     };
+    let taken: f64 = row
+        .iter()
+        .map(|car| 2.0 * car.half_length() + gap(car))
+        .sum();
+    let slack = (START_WITHIN_M - room - taken).max(0.0);
     let mut cuts: Vec<f64> = row
         .iter()
-        .map(|_| rng.random_range(0.0..1.0) * slack.max(0.0))
+        .map(|_| rng.random_range(0.0..1.0) * slack)
         .collect();
     cuts.sort_by(f64::total_cmp);
     let first = row.first().map_or(START_GAP_M, gap);
@@ -75,6 +77,9 @@ fn place_row(road: &Road, rng: &mut ChaCha8Rng, row: &mut [Car], s: f64, side: f
     for (car, cut) in row.iter_mut().zip(cuts) {
         car.at.s = road.wrap(s + side * (next + cut + car.half_length()));
         next += 2.0 * car.half_length() + gap(car);
+        if rolls {
+            car.speed = ROLLING_M_S;
+        }
     }
 }
 
