@@ -39,7 +39,7 @@ pub(crate) struct Traffic {
 }
 
 impl Traffic {
-    /// `count` cars at rest around `s`, leaving room for the ego in `ego_lane`.
+    /// `count` cars around `s`, leaving room for the ego in `ego_lane`.
     pub(crate) fn new(
         road: &Road,
         mut rng: ChaCha8Rng,
@@ -47,14 +47,8 @@ impl Traffic {
         s: f64,
         ego_lane: usize,
     ) -> Self {
-        Self {
-            cars: spawn::initial(road, &mut rng, count, s, ego_lane),
-            touching: None,
-            column: Column::default(),
-            close: Vec::new(),
-            rng,
-            jam: None,
-        }
+        let cars = spawn::initial(road, &mut rng, count, s, ego_lane);
+        Self::of(cars, rng, None)
     }
 
     /// A [`Jam`] of `count` cars around `s`, where the ego starts in `ego_lane`.
@@ -66,13 +60,18 @@ impl Traffic {
         ego_lane: usize,
     ) -> Self {
         let jam = Jam::around(ego_lane);
+        let cars = jam.initial(road, &mut rng, count, s);
+        Self::of(cars, rng, Some(jam))
+    }
+
+    fn of(cars: Vec<Car>, rng: ChaCha8Rng, jam: Option<Jam>) -> Self {
         Self {
-            cars: jam.initial(road, &mut rng, count, s),
+            cars,
             touching: None,
             column: Column::default(),
             close: Vec::new(),
             rng,
-            jam: Some(jam),
+            jam,
         }
     }
 
