@@ -100,6 +100,7 @@ impl Road {
     }
 
     /// The node nearest to `s`, and how far `s` lies beyond it.
+    #[inline]
     pub(crate) fn nearest_node(&self, s: f64) -> (Node, f64) {
         let Some(period) = self.period else {
             let (index, beyond) = self.index(self.wrap(s));
@@ -153,6 +154,7 @@ impl Road {
     }
 
     /// As [`Self::project`], together with the node that was nearest.
+    #[inline]
     pub(crate) fn project_with_node(&self, position: Vec2, guess_s: f64) -> (Frenet, Node) {
         let mut s = guess_s;
         let mut d = 0.0;

@@ -203,7 +203,12 @@ fn paint(mut colour: Rgb, at: &Footprint) -> Rgb {
 /// Share of `[centre - extent / 2, centre + extent / 2]` that lies in `[from, to]`.
 fn coverage(centre: f64, extent: f64, from: f64, to: f64) -> f32 {
     let (low, high) = (centre - extent / 2.0, centre + extent / 2.0);
-    ((high.min(to) - low.max(from)).max(0.0) / extent) as f32
+    let covered = high.min(to) - low.max(from);
+    // Most footprints miss most lines: this spares their divisions.
+    if covered <= 0.0 {
+        return 0.0;
+    }
+    (covered / extent) as f32
 }
 
 const PERIODS_BEFORE: f64 = 1e5;

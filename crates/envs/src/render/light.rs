@@ -88,6 +88,7 @@ impl Lighting {
     }
 
     /// `albedo` at `point` lit by sun or headlights.
+    #[inline]
     pub(super) fn lit(&self, albedo: Rgb, [right, _, ahead]: ViewPoint, facing: Facing) -> Rgb {
         let strength = match (self.light, facing) {
             (Light::Day, Facing::Ground) => 1.0,
