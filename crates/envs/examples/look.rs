@@ -1,6 +1,6 @@
-//! Writes a contact sheet of what the agent sees, day and night, with the segmentation beside it.
+//! Writes a contact sheet of what the agent sees on the highway, with the segmentation below it.
 //!
-//! `cargo run --release -p isodream-envs --example look -- sheet.png [seed] [driver]`
+//! `cargo run --release -p isodream-envs --example look -- sheet.png [seed] [driver] [id ...]`
 
 use std::error::Error;
 
@@ -10,24 +10,29 @@ use isodream_envs::{ScriptedDriver, class, ids, make};
 
 const COLUMNS: usize = 6;
 const STEPS_BETWEEN: usize = 12;
-const MAGNIFY: usize = 4;
+const MAGNIFY: usize = 3;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
     let path = arguments
         .next()
-        .ok_or("usage: look SHEET.png [SEED] [DRIVER]")?;
+        .ok_or("usage: look SHEET.png [SEED] [DRIVER] [ID ...]")?;
     let seed = arguments.next().map_or(Ok(1), |text| text.parse())?;
     let driver: ScriptedDriver = arguments.next().as_deref().unwrap_or("overtake").parse()?;
+
+    let mut chosen: Vec<String> = arguments.collect();
+    if chosen.is_empty() {
+        chosen = ids().iter().map(|id| (*id).to_owned()).collect();
+    }
 
     let config = EnvConfig::default();
     let size = config.image_size;
     let tile = size * MAGNIFY;
-    let rows = 2 * ids().len();
+    let rows = 2 * chosen.len();
     let mut sheet = RgbImage::new((COLUMNS * tile) as u32, (rows * tile) as u32);
-    for (index, id) in ids().iter().enumerate() {
+    for (index, id) in chosen.iter().enumerate() {
         let mut env = make(&EnvConfig {
-            id: (*id).into(),
+            id: id.clone(),
             ..config.clone()
         })?;
         let mut driver = driver.driver(seed);

@@ -1,5 +1,8 @@
 //! Stable names of environments: `family/world` or `family/world/variant`.
 
+use crate::EnvError;
+use crate::registry::ids;
+
 /// A name in its parts, for example `highway/night` or `dmc/walker_walk/video_easy`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct EnvId<'a> {
@@ -29,9 +32,32 @@ impl<'a> EnvId<'a> {
     }
 }
 
+impl EnvId<'_> {
+    /// The id without its family.
+    pub(crate) fn inner(&self) -> String {
+        match self.variant {
+            Some(variant) => format!("{}/{variant}", self.world),
+            None => self.world.to_owned(),
+        }
+    }
+
+    /// That nothing is made of this id.
+    pub(crate) fn unknown(&self) -> EnvError {
+        unknown(&format!("{}/{}", self.family, self.inner()), ids())
+    }
+}
+
+/// That `id` is none of `known`.
+pub(crate) fn unknown(id: &str, known: &[&str]) -> EnvError {
+    EnvError::UnknownId {
+        id: id.to_owned(),
+        nearest: nearest(id, known).join(", "),
+    }
+}
+
 /// The (at most) three of `known` that `id` is most likely meant to be, best first. A part that was left out
 /// counts little: `walker_walk` is close to `dmc/walker_walk`.
-pub(crate) fn nearest<'a>(id: &str, known: &[&'a str]) -> Vec<&'a str> {
+fn nearest<'a>(id: &str, known: &[&'a str]) -> Vec<&'a str> {
     let distance = |candidate: &str| {
         let inner = candidate
             .split_once('/')

@@ -45,9 +45,13 @@ mod wrappers;
 pub use backgrounds::{
     BackgroundPlayer, BackgroundSource, Backgrounds, VideoOrder, VideoSet, compose, is_background,
 };
-pub use driver::{Driver, KeepLaneDriver, OvertakeDriver, RandomDriver, ScriptedDriver};
+pub use driver::{
+    CutInDriver, Driver, KeepLaneDriver, OvertakeDriver, RandomDriver, RecklessDriver,
+    ScriptedDriver, StandStillDriver,
+};
 pub use environment::{EndReason, Environment, NearbyVehicle, PrivilegedView, Transition, class};
 pub use error::{EnvError, RemoteFault};
+pub use highway::{TrafficReport, traffic_without_collisions};
 pub use noise::{GaussianNoise, NoiseTarget};
 pub use registry::{ids, make, spec};
 pub use vector::{NextEpisode, VectorEnvironment, VectorStep, common_spec};

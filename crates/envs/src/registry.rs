@@ -6,7 +6,7 @@ use isodream_core::config::EnvConfig;
 use isodream_core::{EnvSpec, ImageShape};
 
 use crate::highway::family::HIGHWAY;
-use crate::id::{EnvId, nearest};
+use crate::id::{EnvId, unknown};
 use crate::{EnvError, Environment};
 
 type Make = fn(EnvId<'_>, &EnvConfig, EnvSpec) -> Result<Box<dyn Environment>, EnvError>;
@@ -88,10 +88,7 @@ fn find(id: &str) -> Result<(&'static Family, EnvId<'_>), EnvError> {
     let family = |id: &EnvId<'_>| FAMILIES.iter().find(|family| family.name == id.family);
     known
         .and_then(|parsed| Some((*family(&parsed)?, parsed)))
-        .ok_or_else(|| EnvError::UnknownId {
-            id: id.to_owned(),
-            nearest: nearest(id, ids()).join(", "),
-        })
+        .ok_or_else(|| unknown(id, ids()))
 }
 
 /// Refuses a `value` of the configuration's `field` unless it `holds` what is `expected`.

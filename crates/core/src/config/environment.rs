@@ -37,7 +37,7 @@ pub enum BackgroundOrder {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EnvConfig {
-    /// Stable name, for example `highway/day` or `highway/night`.
+    /// Stable name, for example `highway/day` (a closed loop), `highway/straight/night`, `highway/s_curve/day` or `highway/jam/day`.
     pub id: String,
     /// Height and width of the picture in pixels; the networks take 64.
     pub image_size: usize,
@@ -53,6 +53,9 @@ pub struct EnvConfig {
     pub backgrounds: String,
     /// Which of the videos an episode shows.
     pub background_order: BackgroundOrder,
+    /// Highway: the sun's height swings and storms come and go during an episode, as in the authors' driving setup.
+    /// Off by default, so that day and night are one look each and a change of it can be tested apart.
+    pub weather_drift: bool,
 }
 
 impl Default for EnvConfig {
@@ -66,6 +69,7 @@ impl Default for EnvConfig {
             vehicles: 30,
             backgrounds: String::new(),
             background_order: BackgroundOrder::Seeded,
+            weather_drift: false,
         }
     }
 }

@@ -29,7 +29,7 @@ use self::random::RandomState;
 pub use self::scene::SceneRenderer;
 use self::tasks::{Entry, TASKS, Task};
 use crate::EnvError;
-use crate::id::nearest;
+use crate::id::unknown;
 
 /// Names another folder to read the models from.
 pub const SUITE_DIR_VARIABLE: &str = "ISODREAM_SUITE_DIR";
@@ -45,10 +45,7 @@ pub fn ids() -> impl Iterator<Item = &'static str> {
 /// The row of the table for the task `id`.
 fn entry(id: &str) -> Result<&'static Entry, EnvError> {
     let found = TASKS.iter().find(|entry| entry.id == id);
-    found.ok_or_else(|| EnvError::UnknownId {
-        id: id.to_owned(),
-        nearest: nearest(id, &ids().collect::<Vec<_>>()).join(", "),
-    })
+    found.ok_or_else(|| unknown(id, &ids().collect::<Vec<_>>()))
 }
 
 /// One task of the suite with its simulation.

@@ -64,6 +64,9 @@ impl Build {
     }
 }
 
+/// Half the length of the longest of all, the ego included.
+pub(crate) const LONGEST_HALF_M: f64 = 2.7;
+
 /// What every car says about itself to those around it, the ego included.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Body {
@@ -211,5 +214,18 @@ impl Car {
         self.sideways += (wanted - self.sideways).clamp(-change, change);
         self.at.d += self.sideways * DT;
         self.keep_between_barriers();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::highway::ego;
+
+    #[test]
+    fn nobody_is_longer_than_the_longest() {
+        let longest = Build::ALL.map(|build| build.size()[0] / 2.0);
+        assert_eq!(longest.into_iter().fold(0.0, f64::max), LONGEST_HALF_M);
+        assert!(ego::LENGTH.hypot(ego::WIDTH) / 2.0 < LONGEST_HALF_M);
     }
 }

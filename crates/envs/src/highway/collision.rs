@@ -238,33 +238,45 @@ fn collide(ego: &mut Ego, point: Vec2, normal: Vec2, other: &Other) -> Vec2 {
     impulse
 }
 
-/// Takes apart cars that were pushed into each other.
-pub(crate) fn separate_cars(road: &Road, cars: &mut [Car]) {
-    for first in 0..cars.len() {
-        for second in first + 1..cars.len() {
-            let Some(hit) = car_contact(road, &cars[first], &cars[second]) else {
-                continue;
-            };
-            let (mass_a, mass_b) = (cars[first].build.mass_kg(), cars[second].build.mass_kg());
-            let velocity_a = cars[first].velocity(road);
-            let velocity_b = cars[second].velocity(road);
-            let closing = (velocity_a - velocity_b).dot(hit.normal).max(0.0);
-            let push = hit.normal * ((1.0 + RESTITUTION) * closing / (1.0 / mass_a + 1.0 / mass_b));
-            cars[first].set_velocity(road, velocity_a - push * (1.0 / mass_a));
-            cars[second].set_velocity(road, velocity_b + push * (1.0 / mass_b));
-            let apart = hit.normal * (0.5 * hit.depth + 1e-6);
-            cars[first].shift(road, -apart);
-            cars[second].shift(road, apart);
-        }
+/// Cars farther apart than this at the start of a frame do not touch at its end.
+pub(crate) const MAY_TOUCH_M: f64 = 12.0;
+
+/// Takes apart cars that were pushed into each other, of those in `pairs`. The first two that were.
+pub(crate) fn separate_cars(
+    road: &Road,
+    cars: &mut [Car],
+    pairs: &[(usize, usize)],
+) -> Option<(usize, usize)> {
+    let mut touching = None;
+    for &(first, second) in pairs {
+        let Some(hit) = car_contact(road, &cars[first], &cars[second]) else {
+            continue;
+        };
+        touching = touching.or(Some((first, second)));
+        let (mass_a, mass_b) = (cars[first].build.mass_kg(), cars[second].build.mass_kg());
+        let velocity_a = cars[first].velocity(road);
+        let velocity_b = cars[second].velocity(road);
+        let closing = (velocity_a - velocity_b).dot(hit.normal).max(0.0);
+        let push = hit.normal * ((1.0 + RESTITUTION) * closing / (1.0 / mass_a + 1.0 / mass_b));
+        cars[first].set_velocity(road, velocity_a - push * (1.0 / mass_a));
+        cars[second].set_velocity(road, velocity_b + push * (1.0 / mass_b));
+        let apart = hit.normal * (0.5 * hit.depth + 1e-6);
+        cars[first].shift(road, -apart);
+        cars[second].shift(road, apart);
     }
+    touching
+}
+
+/// A bound of half a car's extent across a straight road; a bend adds less than a quarter of a metre to it.
+fn reach_across(car: &Car) -> f64 {
+    car.half_width() + car.half_length() * (car.sideways / car.speed.max(4.0)).abs()
 }
 
 fn car_contact(road: &Road, a: &Car, b: &Car) -> Option<Contact> {
-    // Most pairs are far apart: this spares their rotations.
-    let diagonal = a.half_length() + b.half_length() + 2.0;
-    if road.ahead(a.at.s, b.at.s).abs() > diagonal
-        || (a.at.d - b.at.d).abs() > a.half_width() + b.half_width() + 2.0
-    {
+    // Most pairs are far apart or side by side: this spares their rotations.
+    let along = a.half_length() + b.half_length() + 2.0;
+    let across = reach_across(a) + reach_across(b) + 0.5;
+    if (a.at.d - b.at.d).abs() > across || road.ahead(a.at.s, b.at.s).abs() > along {
         return None;
     }
     contact(&Rectangle::of_car(road, a), &Rectangle::of_car(road, b))
@@ -284,10 +296,11 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
+    use crate::highway::maps::Map;
     use crate::highway::road::Frenet;
 
     fn ego_at(s: f64, d: f64, speed: f64) -> Ego {
-        let mut ego = Ego::at_rest(Road::shared(), Frenet { s, d });
+        let mut ego = Ego::at_rest(Map::Loop.road(), Frenet { s, d });
         ego.speed = speed;
         ego
     }
@@ -301,7 +314,7 @@ mod tests {
 
     #[test]
     fn a_rear_end_hit_conserves_momentum_and_takes_both_apart() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let mut ego = ego_at(100.0, 0.0, 15.0);
         let mut cars = [car_at(104.0, 0.0, 10.0)];
         let mass = cars[0].build.mass_kg();
@@ -326,7 +339,7 @@ mod tests {
 
     #[test]
     fn a_car_pressed_against_the_barrier_makes_the_ego_yield() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let mut cars = [car_at(100.0, 20.0, 5.0)];
         cars[0].shift(road, Vec2::default());
         let mut ego = ego_at(100.0, cars[0].at.d - 1.2, 5.0);
@@ -338,7 +351,7 @@ mod tests {
 
     #[test]
     fn the_barrier_turns_the_ego_along_the_road_and_costs_speed() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let mut ego = ego_at(100.0, 5.0, 15.0);
         ego.yaw += 0.4;
         let mut impulse = 0.0;
@@ -358,7 +371,7 @@ mod tests {
 
     #[test]
     fn leaning_on_the_barrier_costs_speed() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let frames = 100;
         let roll = |ego: &mut Ego| {
             for _ in 0..frames {
@@ -377,7 +390,7 @@ mod tests {
 
     #[test]
     fn being_shoved_hard_makes_the_other_driver_brake() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let brakes_after = |ego_speed| {
             let mut cars = [car_at(104.0, 0.0, 10.0)];
             resolve_ego(road, &mut ego_at(100.0, 0.0, ego_speed), &mut cars);
@@ -389,7 +402,7 @@ mod tests {
 
     #[test]
     fn no_contact_no_impulse() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let mut ego = ego_at(100.0, 0.0, 15.0);
         let before = ego.clone();
         let impulses = resolve_ego(

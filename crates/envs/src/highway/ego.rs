@@ -142,21 +142,22 @@ impl Ego {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::highway::maps::Map;
 
     fn start() -> Ego {
-        Ego::at_rest(Road::shared(), Frenet { s: 100.0, d: 1.75 })
+        Ego::at_rest(Map::Loop.road(), Frenet { s: 100.0, d: 1.75 })
     }
 
     fn drive(ego: &mut Ego, frames: usize, steer: f64, pedal: f64) {
         for _ in 0..frames {
-            ego.advance(Road::shared(), steer, pedal);
+            ego.advance(Map::Loop.road(), steer, pedal);
         }
     }
 
     #[test]
     fn full_throttle_reaches_about_25_m_s() {
         let mut ego = start();
-        ego.advance(Road::shared(), 0.0, 1.0);
+        ego.advance(Map::Loop.road(), 0.0, 1.0);
         assert!((ego.speed / DT - THROTTLE_M_S2).abs() < 0.2);
         drive(&mut ego, 1_200, 0.0, 1.0);
         assert!((23.0..27.0).contains(&ego.speed), "{}", ego.speed);
@@ -184,7 +185,7 @@ mod tests {
         ego.speed = 20.0;
         drive(&mut ego, 10, 1.0, 0.0);
         let before = ego.yaw;
-        ego.advance(Road::shared(), 1.0, 0.0);
+        ego.advance(Map::Loop.road(), 1.0, 0.0);
         let lateral = wrap_angle(ego.yaw - before).abs() / DT * ego.speed;
         assert!((lateral - GRIP_M_S2).abs() < 0.2, "{lateral}");
     }

@@ -3,19 +3,18 @@
 use isodream_core::EnvSpec;
 use isodream_core::config::EnvConfig;
 
-use super::Highway;
+use super::{Highway, MAX_VEHICLES, Scene};
 use crate::id::EnvId;
 use crate::registry::{Family, require};
-use crate::render::Light;
 use crate::{EnvError, Environment};
 
-/// More cars than this do not fit into the traffic's window.
-const MAX_VEHICLES: u32 = 60;
-
-/// `highway/day` and `highway/night`.
+/// `highway/day`, `highway/jam/night` and the like.
 pub(crate) const HIGHWAY: Family = Family {
     name: "highway",
-    worlds: || ["day", "night"].map(str::to_owned).to_vec(),
+    worlds: || {
+        let ids = Scene::NAMES.into_iter();
+        ids.map(str::to_owned).collect()
+    },
     action_dim,
     make,
 };
@@ -36,10 +35,6 @@ fn make(
     config: &EnvConfig,
     spec: EnvSpec,
 ) -> Result<Box<dyn Environment>, EnvError> {
-    let light = if id.world == "night" {
-        Light::Night
-    } else {
-        Light::Day
-    };
-    Ok(Box::new(Highway::new(config, spec, light)))
+    let scene = Scene::named(&id.inner()).ok_or_else(|| id.unknown())?;
+    Ok(Box::new(Highway::new(config, spec, scene)))
 }

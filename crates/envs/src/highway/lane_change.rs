@@ -1,6 +1,7 @@
 //! Lane changes of the traffic: MOBIL (Kesting et al. 2007) without politeness.
 
-use crate::highway::car::{Body, Car};
+use crate::highway::car::Car;
+use crate::highway::column::{Column, Neighbour};
 use crate::highway::following::{Leader, acceleration};
 use crate::highway::road::{LANES, Road};
 
@@ -13,54 +14,8 @@ const LEAST_GAP_M: f64 = 2.0;
 /// A standing car cannot leave its lane.
 const LEAST_SPEED_M_S: f64 = 1.0;
 
-/// Those around a place: nearest first in each direction.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(crate) struct Neighbours {
-    /// Index and gap; the gap is negative where bodies overlap along the road.
-    pub(crate) ahead: Option<(usize, f64)>,
-    pub(crate) behind: Option<(usize, f64)>,
-}
-
-/// Who of `bodies` shares one of `lanes` with a body at index `me`, leaving out index `without`.
-pub(crate) fn neighbours(
-    road: &Road,
-    bodies: &[Body],
-    me: usize,
-    lanes: u8,
-    without: Option<usize>,
-) -> Neighbours {
-    let mine = &bodies[me];
-    let mut found = Neighbours::default();
-    for (index, other) in bodies.iter().enumerate() {
-        if index == me || other.lanes & lanes == 0 || Some(index) == without {
-            continue;
-        }
-        let distance = road.ahead(mine.s, other.s);
-        let gap = distance.abs() - mine.half_length - other.half_length;
-        // At equal places the index decides, so that one of the two gives way and not both.
-        let is_ahead = distance > 0.0 || distance == 0.0 && index > me;
-        let slot = if is_ahead {
-            &mut found.ahead
-        } else {
-            &mut found.behind
-        };
-        if slot.is_none_or(|(_, nearest)| gap < nearest) {
-            *slot = Some((index, gap));
-        }
-    }
-    found
-}
-
-/// The leader that `neighbour` is.
-pub(crate) fn leader(bodies: &[Body], neighbour: Option<(usize, f64)>) -> Option<Leader> {
-    neighbour.map(|(index, gap_m)| Leader {
-        gap_m,
-        speed_m_s: bodies[index].speed,
-    })
-}
-
-/// The lane that the driver of `cars[me]` wants to change to. `bodies` starts with those of `cars`.
-pub(crate) fn decide(road: &Road, cars: &[Car], bodies: &[Body], me: usize) -> Option<usize> {
+/// The lane that the driver of `cars[me]` wants to change to. `column` starts with the bodies of `cars`.
+pub(crate) fn decide(road: &Road, cars: &[Car], column: &Column, me: usize) -> Option<usize> {
     let car = &cars[me];
     if car.is_changing_lane() || car.speed < LEAST_SPEED_M_S || car.shocked_s > 0.0 {
         return None;
@@ -73,13 +28,14 @@ pub(crate) fn decide(road: &Road, cars: &[Car], bodies: &[Body], me: usize) -> O
         .flatten()
         .filter(|&lane| lane < LANES)
     {
-        let around = neighbours(road, bodies, me, 1 << lane, None);
-        let narrow = |side: Option<(usize, f64)>| side.is_some_and(|(_, gap)| gap < LEAST_GAP_M);
-        if narrow(around.ahead) || narrow(around.behind) {
+        let leader = column.ahead_of(road, me, 1 << lane, None);
+        let follower = column.behind(road, me, 1 << lane);
+        let narrow = |side: Option<Neighbour>| side.is_some_and(|other| other.gap_m < LEAST_GAP_M);
+        if narrow(leader) || narrow(follower) {
             continue;
         }
-        let mine = acceleration(&car.temper, car.speed, leader(bodies, around.ahead));
-        if mine > best_acceleration && !imposes_braking(cars, bodies, car, around.behind) {
+        let mine = acceleration(&car.temper, car.speed, leader.map(Neighbour::as_leader));
+        if mine > best_acceleration && !imposes_braking(cars, car, follower) {
             best_acceleration = mine;
             best = Some(lane);
         }
@@ -87,22 +43,19 @@ pub(crate) fn decide(road: &Road, cars: &[Car], bodies: &[Body], me: usize) -> O
     best
 }
 
-fn imposes_braking(
-    cars: &[Car],
-    bodies: &[Body],
-    car: &Car,
-    follower: Option<(usize, f64)>,
-) -> bool {
-    let Some((index, gap_m)) = follower else {
+fn imposes_braking(cars: &[Car], car: &Car, follower: Option<Neighbour>) -> bool {
+    let Some(follower) = follower else {
         return false;
     };
     // The ego has no known temper: it is taken for a driver like the one who asks.
-    let temper = cars.get(index).map_or(&car.temper, |other| &other.temper);
+    let temper = cars
+        .get(follower.index)
+        .map_or(&car.temper, |other| &other.temper);
     let me = Leader {
-        gap_m,
+        gap_m: follower.gap_m,
         speed_m_s: car.speed,
     };
-    acceleration(temper, bodies[index].speed, Some(me)) < -IMPOSED_BRAKE_M_S2
+    acceleration(temper, follower.speed_m_s, Some(me)) < -IMPOSED_BRAKE_M_S2
 }
 
 #[cfg(test)]
@@ -111,6 +64,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
+    use crate::highway::maps::Map;
     use crate::highway::road::{Frenet, lane_center};
 
     /// The one who asks, in the rightmost lane behind a slow leader, with a follower in the next lane.
@@ -134,8 +88,10 @@ mod tests {
             car
         })
         .collect();
-        let bodies: Vec<Body> = cars.iter().map(Car::body).collect();
-        decide(Road::shared(), &cars, &bodies, 0)
+        let road = Map::Loop.road();
+        let mut column = Column::default();
+        column.arrange(road, 500.0, cars.iter().map(Car::body));
+        decide(road, &cars, &column, 0)
     }
 
     #[test]

@@ -5,15 +5,21 @@
 
 mod car;
 mod collision;
+mod column;
 mod ego;
 pub(crate) mod family;
 mod following;
+mod jam;
 mod lane_change;
+mod maps;
 mod metrics;
 mod reward;
 mod road;
+mod scene;
+mod soak;
 mod spawn;
 mod traffic;
+mod weather;
 mod world;
 
 use isodream_core::EnvSpec;
@@ -21,19 +27,31 @@ use isodream_core::config::{EnvConfig, RepeatReward};
 
 pub(crate) use self::car::{Build, Car};
 #[cfg(test)]
+pub(crate) use self::maps::Map;
+#[cfg(test)]
 pub(crate) use self::road::lane_center;
 pub(crate) use self::road::{BARRIER_D, Frenet, LANE_WIDTH, LANES, LANES_HALF_WIDTH, Road};
+pub(crate) use self::scene::Scene;
+pub use self::soak::{TrafficReport, traffic_without_collisions};
+pub(crate) use self::weather::Weather;
+#[cfg(test)]
+pub(crate) use self::weather::tests::weather;
 pub(crate) use self::world::World;
 
 use crate::environment::{EndReason, PrivilegedView};
-use crate::render::{Light, Renderer};
+use crate::render::Renderer;
 use crate::{EnvError, Environment, Transition};
+
+/// More cars than this do not fit into the traffic's window.
+pub(crate) const MAX_VEHICLES: u32 = 60;
 
 /// The highway environment. Action: `[steer, pedal]`, steer 1 is full right, pedal 1 full throttle and -1 full brake.
 pub(crate) struct Highway {
     spec: EnvSpec,
+    scene: Scene,
     repeat_reward: RepeatReward,
     vehicles: u32,
+    weather_drift: bool,
     renderer: Renderer,
     world: Option<World>,
     steps: u32,
@@ -43,12 +61,14 @@ pub(crate) struct Highway {
 impl Highway {
     pub(crate) const ACTION_DIM: usize = 2;
 
-    pub(crate) fn new(config: &EnvConfig, spec: EnvSpec, light: Light) -> Self {
+    pub(crate) fn new(config: &EnvConfig, spec: EnvSpec, scene: Scene) -> Self {
         Self {
-            renderer: Renderer::new(spec.image.height, light),
+            renderer: Renderer::new(spec.image.height, scene.light),
             spec,
+            scene,
             repeat_reward: config.repeat_reward,
             vehicles: config.vehicles,
+            weather_drift: config.weather_drift,
             world: None,
             steps: 0,
             is_over: false,
@@ -78,7 +98,11 @@ impl Environment for Highway {
     }
 
     fn reset(&mut self, seed: u64) -> Result<Transition, EnvError> {
-        let world = self.world.insert(World::new(seed, self.vehicles));
+        let mut world = World::new(self.scene, seed, self.vehicles);
+        if self.weather_drift {
+            world.let_weather_drift(seed);
+        }
+        let world = self.world.insert(world);
         self.steps = 0;
         self.is_over = false;
         Ok(Transition {

@@ -29,6 +29,7 @@ pub(crate) fn lane_direction(road: &Road, ego: &Ego) -> Vec2 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::highway::maps::Map;
 
     #[test]
     fn matches_the_formula_by_hand() {
@@ -40,7 +41,7 @@ mod tests {
 
     #[test]
     fn the_direction_is_that_of_the_road_five_metres_ahead() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let ego = Ego::at_rest(road, crate::highway::road::Frenet { s: 40.0, d: 1.0 });
         let expected = road.tangent(45.0);
         assert!((lane_direction(road, &ego) - expected).norm() < 1e-6);

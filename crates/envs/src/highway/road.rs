@@ -1,9 +1,8 @@
-//! The road: a closed four-lane loop with bends to both sides, as a table over arc length `s`.
+//! The road: four lanes along a line that is a table over arc length `s`, either a closed loop or without end.
 //!
 //! Lateral position `d` is 0 in the middle of the road and grows to the left; lane 0 is the rightmost.
 
-use std::f64::consts::TAU;
-use std::sync::LazyLock;
+use std::ops::Range;
 
 use crate::geometry::Vec2;
 
@@ -13,10 +12,6 @@ pub(crate) const LANE_WIDTH: f64 = 3.5;
 pub(crate) const LANES_HALF_WIDTH: f64 = LANES as f64 * LANE_WIDTH / 2.0;
 /// Lateral position of the barriers' faces, either side: lanes plus a shoulder of 1.5 m.
 pub(crate) const BARRIER_D: f64 = LANES_HALF_WIDTH + 1.5;
-
-const RADIUS_M: f64 = 760.0;
-/// Order, amplitude and phase of the loop's radial waves: enough for bends to both sides, and none sharper than 200 m.
-const WAVES: [(f64, f64, f64); 3] = [(2.0, 0.09, 0.6), (3.0, 0.10, 2.1), (5.0, 0.05, 4.0)];
 
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Node {
@@ -38,83 +33,96 @@ pub(crate) struct Road {
     nodes: Vec<Node>,
     spacing: f64,
     nodes_per_m: f64,
+    /// Length of the table.
     length: f64,
+    /// From the table's start to its end, where an endless road repeats it; `None` for a closed loop.
+    period: Option<Vec2>,
 }
 
+/// On an endless road episodes start this far from its zero: the patterns of the ground are made for positive places.
+const FIRST_START_M: f64 = 1_000.0;
+
 impl Road {
-    /// The one road there is, computed at first use.
-    pub(crate) fn shared() -> &'static Self {
-        static ROAD: LazyLock<Road> = LazyLock::new(Road::new);
-        &ROAD
+    /// A loop of `length` from evenly spaced nodes.
+    pub(crate) fn closed(nodes: Vec<Node>, length: f64) -> Self {
+        Self::new(nodes, length, None)
     }
 
-    fn new() -> Self {
-        const FINE: usize = 40_000;
-        let angle_step = TAU / FINE as f64;
-        let speed = |theta: f64| {
-            let [r, dr, _] = radius(theta);
-            r.hypot(dr)
-        };
-        let mut arc = Vec::with_capacity(FINE + 1);
-        let mut total = 0.0;
-        for i in 0..=FINE {
-            arc.push(total);
-            total += angle_step * speed((i as f64 + 0.5) * angle_step);
-        }
-        let length = arc[FINE];
-        let count = length.round() as usize;
-        let spacing = length / count as f64;
-        let mut fine = 0;
-        let nodes = (0..count)
-            .map(|i| {
-                let s = i as f64 * spacing;
-                while arc[fine + 1] <= s {
-                    fine += 1;
-                }
-                let part = (s - arc[fine]) / (arc[fine + 1] - arc[fine]);
-                node_at_angle((fine as f64 + part) * angle_step)
-            })
-            .collect();
+    /// A road that repeats `nodes`, one a metre, each time moved on by `period`.
+    pub(crate) fn endless(nodes: Vec<Node>, period: Vec2) -> Self {
+        let length = nodes.len() as f64;
+        Self::new(nodes, length, Some(period))
+    }
+
+    fn new(nodes: Vec<Node>, length: f64, period: Option<Vec2>) -> Self {
+        let spacing = length / nodes.len() as f64;
         Self {
             nodes,
             spacing,
             nodes_per_m: 1.0 / spacing,
             length,
+            period,
         }
     }
 
+    /// Length of the table: once round the loop, or one period of an endless road.
+    #[cfg(test)]
     pub(crate) fn length(&self) -> f64 {
         self.length
     }
 
-    /// `s` brought into `[0, length)`.
+    /// Where episodes start.
+    pub(crate) fn starts(&self) -> Range<f64> {
+        match self.period {
+            None => 0.0..self.length,
+            Some(_) => FIRST_START_M..FIRST_START_M + self.length,
+        }
+    }
+
+    /// `s` as places are written: within `[0, length)` on a loop, anything on an endless road.
     pub(crate) fn wrap(&self, s: f64) -> f64 {
         // Nearly every place is inside already: this spares the renderer a division per pixel.
-        if (0.0..self.length).contains(&s) {
+        if self.period.is_some() || (0.0..self.length).contains(&s) {
             return s;
         }
         s.rem_euclid(self.length)
     }
 
-    /// How far `to` is ahead of `from`, the short way round.
+    /// How far `to` is ahead of `from`, on a loop the short way round.
     pub(crate) fn ahead(&self, from: f64, to: f64) -> f64 {
         let half = self.length / 2.0;
         let difference = to - from;
         // Nearly every pair is close: this spares the division in the traffic's inner loop.
-        if difference.abs() < half {
+        if self.period.is_some() || difference.abs() < half {
             return difference;
         }
         (difference + half).rem_euclid(self.length) - half
     }
 
-    /// The table's node nearest to `s`, and how far `s` lies beyond it.
-    pub(crate) fn nearest_node(&self, s: f64) -> (&Node, f64) {
-        let position = self.wrap(s) * self.nodes_per_m;
+    /// The node nearest to `s`, and how far `s` lies beyond it.
+    #[inline]
+    pub(crate) fn nearest_node(&self, s: f64) -> (Node, f64) {
+        let Some(period) = self.period else {
+            let (index, beyond) = self.index(self.wrap(s));
+            let index = if index < self.nodes.len() { index } else { 0 };
+            return (self.nodes[index], beyond);
+        };
+        let mut round = (s / self.length).floor();
+        let (mut index, beyond) = self.index(s - round * self.length);
+        if index == self.nodes.len() {
+            (index, round) = (0, round + 1.0);
+        }
+        let mut node = self.nodes[index];
+        node.position = node.position + period * round;
+        (node, beyond)
+    }
+
+    /// For a place on the table: the nearest node, which may be the one after the last, and how far the place lies beyond it.
+    fn index(&self, s: f64) -> (usize, f64) {
+        let position = s * self.nodes_per_m;
         // Truncation rounds, as positions are not negative; `round` is a call on plain x86-64.
         let index = (position + 0.5) as usize;
-        let beyond = (position - index as f64) * self.spacing;
-        let index = if index < self.nodes.len() { index } else { 0 };
-        (&self.nodes[index], beyond)
+        (index, (position - index as f64) * self.spacing)
     }
 
     pub(crate) fn heading(&self, s: f64) -> f64 {
@@ -146,7 +154,8 @@ impl Road {
     }
 
     /// As [`Self::project`], together with the node that was nearest.
-    pub(crate) fn project_with_node(&self, position: Vec2, guess_s: f64) -> (Frenet, &Node) {
+    #[inline]
+    pub(crate) fn project_with_node(&self, position: Vec2, guess_s: f64) -> (Frenet, Node) {
         let mut s = guess_s;
         let mut d = 0.0;
         let (mut node, mut beyond) = self.nearest_node(s);
@@ -185,74 +194,28 @@ pub(crate) fn lanes_overlapped(d: f64, half_width: f64) -> u8 {
     (first..=last).fold(0, |mask, lane| mask | 1 << lane)
 }
 
-/// Radius of the loop at `theta` and its first two derivatives.
-fn radius(theta: f64) -> [f64; 3] {
-    let mut r = [1.0, 0.0, 0.0];
-    for (order, amplitude, phase) in WAVES {
-        let (sin, cos) = (order * theta + phase).sin_cos();
-        r[0] += amplitude * cos;
-        r[1] -= amplitude * order * sin;
-        r[2] -= amplitude * order * order * cos;
-    }
-    r.map(|value| value * RADIUS_M)
-}
-
-fn node_at_angle(theta: f64) -> Node {
-    let [r, dr, ddr] = radius(theta);
-    let (sin, cos) = theta.sin_cos();
-    let velocity = Vec2::new(dr * cos - r * sin, dr * sin + r * cos);
-    let speed = velocity.norm();
-    Node {
-        position: Vec2::new(r * cos, r * sin),
-        tangent: velocity * (1.0 / speed),
-        heading: velocity.y.atan2(velocity.x),
-        curvature: (r * r + 2.0 * dr * dr - r * ddr) / speed.powi(3),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn bends_go_both_ways_and_none_is_sharp() {
-        let road = Road::shared();
-        let curvatures: Vec<f64> = road.nodes.iter().map(|node| node.curvature).collect();
-        let most_left = curvatures.iter().copied().fold(f64::MIN, f64::max);
-        let most_right = curvatures.iter().copied().fold(f64::MAX, f64::min);
-        println!(
-            "length {} left {} right {}",
-            road.length,
-            1.0 / most_left,
-            1.0 / most_right
-        );
-        assert!((1.0 / 400.0..1.0 / 200.0).contains(&most_left));
-        assert!((-1.0 / 200.0..-1.0 / 800.0).contains(&most_right));
-    }
-
-    #[test]
-    fn the_loop_closes() {
-        let road = Road::shared();
-        let end = road.to_world(Frenet {
-            s: road.length() - 1e-9,
-            d: 2.0,
-        });
-        let start = road.to_world(Frenet { s: 0.0, d: 2.0 });
-        assert!((end - start).norm() < 1e-3);
-    }
+    use crate::highway::maps::Map;
 
     #[test]
     fn projection_inverts_to_world() {
-        let road = Road::shared();
-        for i in 0..500 {
-            let s = i as f64 * 9.37;
-            let point = Frenet {
-                s: road.wrap(s),
-                d: (i % 17) as f64 - 8.0,
-            };
-            let found = road.project(road.to_world(point), road.wrap(s + 4.0));
-            assert!(road.ahead(point.s, found.s).abs() < 0.01, "s at {s}");
-            assert!((found.d - point.d).abs() < 0.01, "d at {s}");
+        for map in [Map::Loop, Map::Straight, Map::SCurve] {
+            let road = map.road();
+            for i in 0..500 {
+                let s = i as f64 * 9.37;
+                let point = Frenet {
+                    s: road.wrap(s),
+                    d: (i % 17) as f64 - 8.0,
+                };
+                let found = road.project(road.to_world(point), road.wrap(s + 4.0));
+                assert!(
+                    road.ahead(point.s, found.s).abs() < 0.01,
+                    "s at {s}, {map:?}"
+                );
+                assert!((found.d - point.d).abs() < 0.01, "d at {s}, {map:?}");
+            }
         }
     }
 
@@ -265,7 +228,7 @@ mod tests {
 
     #[test]
     fn ahead_takes_the_short_way_round() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         assert!((road.ahead(road.length() - 3.0, 4.0) - 7.0).abs() < 1e-9);
         assert!((road.ahead(4.0, road.length() - 3.0) + 7.0).abs() < 1e-9);
     }

@@ -12,13 +12,16 @@ use crate::highway::traffic::EgoBody;
 /// Cars start no farther from the ego than this, unless they are too many.
 const START_WITHIN_M: f64 = 40.0;
 const START_GAP_M: f64 = 2.0;
+/// Rows of more cars start rolling: they would set off one by one, and an ego at the end of one count as stuck.
+const MOST_AT_REST: usize = 4;
+const ROLLING_M_S: f64 = 3.0;
 /// A car outside of this window around the ego is replaced by another one at the other end.
 const BEHIND_M: f64 = 95.0;
 const AHEAD_M: f64 = 150.0;
 /// Depth of the strips at both ends in which cars appear: too far away to be seen popping up.
 const STRIP_M: f64 = 20.0;
 
-/// `count` cars at rest, dealt to the four lanes before and behind `s`.
+/// `count` cars, at rest unless they are too many, dealt to the four lanes before and behind `s`.
 pub(crate) fn initial(
     road: &Road,
     rng: &mut ChaCha8Rng,
@@ -47,9 +50,17 @@ pub(crate) fn initial(
 
 /// Spreads `row` over one side of `s`: the slack between the cars is cut at random places.
 fn place_row(road: &Road, rng: &mut ChaCha8Rng, row: &mut [Car], s: f64, side: f64, room: f64) {
+    let rolls = row.len() > MOST_AT_REST;
+    let gap = |car: &Car| {
+        if rolls {
+            car.temper.gap_m + car.temper.headway_s * ROLLING_M_S
+        } else {
+            START_GAP_M
+        }
+    };
     let taken: f64 = row
         .iter()
-        .map(|car| 2.0 * car.half_length() + START_GAP_M)
+        .map(|car| 2.0 * car.half_length() + gap(car))
         .sum();
     let slack = (START_WITHIN_M - room - taken).max(0.0);
     let mut cuts: Vec<f64> = row
@@ -57,14 +68,18 @@ fn place_row(road: &Road, rng: &mut ChaCha8Rng, row: &mut [Car], s: f64, side: f
         .map(|_| rng.random_range(0.0..1.0) * slack)
         .collect();
     cuts.sort_by(f64::total_cmp);
+    let first = row.first().map_or(START_GAP_M, gap);
     // Half a gap, so that the rows on both sides of `s` keep a whole one.
-    let mut next = room + START_GAP_M / 2.0;
+    let mut next = room + first / 2.0;
     if room > 0.0 {
-        next += START_GAP_M / 2.0;
+        next += first / 2.0;
     }
     for (car, cut) in row.iter_mut().zip(cuts) {
         car.at.s = road.wrap(s + side * (next + cut + car.half_length()));
-        next += 2.0 * car.half_length() + START_GAP_M;
+        next += 2.0 * car.half_length() + gap(car);
+        if rolls {
+            car.speed = ROLLING_M_S;
+        }
     }
 }
 
@@ -146,11 +161,12 @@ mod tests {
 
     use super::*;
     use crate::highway::collision::first_contact;
+    use crate::highway::maps::Map;
     use crate::highway::road::lane_center;
 
     #[test]
     fn cars_start_near_the_ego_and_touch_nobody() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         for seed in 0..50 {
             let ego_lane = seed as usize % LANES;
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -169,7 +185,7 @@ mod tests {
 
     #[test]
     fn more_cars_than_fit_within_forty_metres_start_farther_out() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let cars = initial(road, &mut rng, 60, 900.0, 2);
         assert_eq!(cars.len(), 60);

@@ -4,9 +4,11 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::highway::car::{Body, Car};
 use crate::highway::collision;
+use crate::highway::column::{Column, Neighbour};
 use crate::highway::ego::DT;
 use crate::highway::following::acceleration;
-use crate::highway::lane_change::{decide, leader, neighbours};
+use crate::highway::jam::Jam;
+use crate::highway::lane_change::decide;
 use crate::highway::road::{LANES, Road};
 use crate::highway::spawn;
 
@@ -27,12 +29,17 @@ pub(crate) struct EgoBody {
 #[derive(Debug, Clone)]
 pub(crate) struct Traffic {
     pub(crate) cars: Vec<Car>,
-    bodies: Vec<Body>,
+    /// The first two cars that touched each other in the newest frame.
+    pub(crate) touching: Option<(usize, usize)>,
+    column: Column,
+    close: Vec<(usize, usize)>,
     rng: ChaCha8Rng,
+    /// In a jam, nobody changes lanes.
+    jam: Option<Jam>,
 }
 
 impl Traffic {
-    /// `count` cars at rest around `s`, leaving room for the ego in `ego_lane`.
+    /// `count` cars around `s`, leaving room for the ego in `ego_lane`.
     pub(crate) fn new(
         road: &Road,
         mut rng: ChaCha8Rng,
@@ -40,26 +47,54 @@ impl Traffic {
         s: f64,
         ego_lane: usize,
     ) -> Self {
+        let cars = spawn::initial(road, &mut rng, count, s, ego_lane);
+        Self::of(cars, rng, None)
+    }
+
+    /// A [`Jam`] of `count` cars around `s`, where the ego starts in `ego_lane`.
+    pub(crate) fn jammed(
+        road: &Road,
+        mut rng: ChaCha8Rng,
+        count: usize,
+        s: f64,
+        ego_lane: usize,
+    ) -> Self {
+        let jam = Jam::around(ego_lane);
+        let cars = jam.initial(road, &mut rng, count, s);
+        Self::of(cars, rng, Some(jam))
+    }
+
+    fn of(cars: Vec<Car>, rng: ChaCha8Rng, jam: Option<Jam>) -> Self {
         Self {
-            cars: spawn::initial(road, &mut rng, count, s, ego_lane),
-            bodies: Vec::with_capacity(count + 1),
+            cars,
+            touching: None,
+            column: Column::default(),
+            close: Vec::new(),
             rng,
+            jam,
         }
     }
 
     /// One frame; whether a car had to brake because the ego took its lane.
     pub(crate) fn step(&mut self, road: &Road, reference_s: f64, ego: Option<&EgoBody>) -> bool {
-        spawn::recycle(road, &mut self.rng, &mut self.cars, reference_s, ego);
-        self.bodies.clear();
-        self.bodies.extend(self.cars.iter().map(Car::body));
-        self.bodies.extend(ego.map(|ego| ego.body));
+        match self.jam {
+            None => spawn::recycle(road, &mut self.rng, &mut self.cars, reference_s, ego),
+            Some(jam) => jam.recycle(road, &mut self.rng, &mut self.cars, reference_s),
+        }
+        let bodies = self.cars.iter().map(Car::body);
+        self.column
+            .arrange(road, reference_s, bodies.chain(ego.map(|ego| ego.body)));
 
         let interaction = self.follow(road, ego);
-        self.change_lanes(road);
+        if self.jam.is_none() {
+            self.change_lanes(road);
+        }
         for car in &mut self.cars {
             car.advance(road);
         }
-        collision::separate_cars(road, &mut self.cars);
+        self.column
+            .close_pairs(self.cars.len(), collision::MAY_TOUCH_M, &mut self.close);
+        self.touching = collision::separate_cars(road, &mut self.cars, &self.close);
         interaction
     }
 
@@ -67,17 +102,21 @@ impl Traffic {
         let ego_index = self.cars.len();
         let mut interaction = false;
         for (index, car) in self.cars.iter_mut().enumerate() {
-            let lanes = self.bodies[index].lanes;
-            let ahead = neighbours(road, &self.bodies, index, lanes, None).ahead;
-            let wanted = acceleration(&car.temper, car.speed, leader(&self.bodies, ahead));
+            let lanes = self.column.body(index).lanes;
+            let ahead = self.column.ahead_of(road, index, lanes, None);
+            let followed = ahead.map(Neighbour::as_leader);
+            let wanted = match self.jam {
+                None => acceleration(&car.temper, car.speed, followed),
+                Some(jam) => jam.acceleration(car.lane, &car.temper, car.speed, followed),
+            };
             car.acceleration = car.after_shock(wanted);
-            let Some(ego) = ego.filter(|_| ahead.is_some_and(|(leader, _)| leader == ego_index))
+            let Some(ego) = ego.filter(|_| ahead.is_some_and(|leader| leader.index == ego_index))
             else {
                 continue;
             };
             if wanted < -INTERACTION_M_S2 && lanes & ego.taken != 0 {
-                let other = neighbours(road, &self.bodies, index, lanes, Some(ego_index)).ahead;
-                let alone = acceleration(&car.temper, car.speed, leader(&self.bodies, other));
+                let other = self.column.ahead_of(road, index, lanes, Some(ego_index));
+                let alone = acceleration(&car.temper, car.speed, other.map(Neighbour::as_leader));
                 interaction |= alone - wanted > INTERACTION_M_S2;
             }
         }
@@ -91,11 +130,11 @@ impl Traffic {
                 continue;
             }
             self.cars[index].until_decision_s += DECISION_EVERY_S;
-            if let Some(lane) = decide(road, &self.cars, &self.bodies, index) {
+            if let Some(lane) = decide(road, &self.cars, &self.column, index) {
                 debug_assert!(lane < LANES);
                 self.cars[index].lane = lane;
                 // Those who decide later in this frame must already see the lane as taken.
-                self.bodies[index] = self.cars[index].body();
+                self.column.set_lanes(index, self.cars[index].body().lanes);
             }
         }
     }
@@ -106,11 +145,12 @@ mod tests {
     use rand::SeedableRng;
 
     use super::*;
+    use crate::highway::maps::Map;
     use crate::highway::road::{Frenet, lane_center};
 
     #[test]
     fn traffic_alone_never_collides() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         for seed in 0..3 {
             let mut traffic = Traffic::new(road, ChaCha8Rng::seed_from_u64(seed), 30, 500.0, 0);
             let mut reference = 500.0;
@@ -139,7 +179,7 @@ mod tests {
 
     #[test]
     fn about_all_cars_stay_near_the_reference() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         for ego_speed in [0.0, 11.0, 22.0] {
             let mut traffic = Traffic::new(road, ChaCha8Rng::seed_from_u64(5), 30, 500.0, 0);
             let mut reference = 500.0;
@@ -164,7 +204,7 @@ mod tests {
 
     #[test]
     fn a_follower_brakes_within_two_frames_of_a_cut_in() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let mut traffic = Traffic::new(road, ChaCha8Rng::seed_from_u64(1), 1, 500.0, 0);
         let follower = &mut traffic.cars[0];
         follower.lane = 1;
@@ -200,7 +240,7 @@ mod tests {
 
     #[test]
     fn following_an_ego_that_was_always_there_is_no_interaction() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let mut traffic = Traffic::new(road, ChaCha8Rng::seed_from_u64(1), 1, 500.0, 0);
         let follower = &mut traffic.cars[0];
         follower.lane = 1;
@@ -220,7 +260,7 @@ mod tests {
 
     #[test]
     fn a_lane_change_is_seen_before_the_body_gets_there() {
-        let road = Road::shared();
+        let road = Map::Loop.road();
         let mut traffic = Traffic::new(road, ChaCha8Rng::seed_from_u64(1), 2, 500.0, 0);
         for (car, (lane, s, speed)) in
             (traffic.cars.iter_mut()).zip([(2, 480.0, 14.0), (1, 498.0, 9.0)])

@@ -13,7 +13,9 @@ use crate::highway::reward::{frame_reward, lane_direction};
 use crate::highway::road::{
     BARRIER_D, Frenet, LANE_WIDTH, LANES, Road, lane_at, lane_center, lanes_overlapped,
 };
+use crate::highway::scene::{Flow, Scene};
 use crate::highway::traffic::{EgoBody, TAKEN_S, Traffic};
+use crate::highway::weather::Weather;
 
 /// Every so many frames the ego must be moving.
 const STUCK_CHECK_FRAMES: u32 = 100;
@@ -33,18 +35,24 @@ pub(crate) struct World {
     pub(crate) ego: Ego,
     pub(crate) traffic: Traffic,
     pub(crate) metrics: Metrics,
+    /// `None` where it stays fine.
+    pub(crate) weather: Option<Weather>,
     frames: u32,
     /// For how long the ego has been in each lane without a break; 0 where it is not.
     in_lane_s: [f64; LANES],
 }
 
 impl World {
-    pub(crate) fn new(seed: u64, vehicles: u32) -> Self {
-        let road = Road::shared();
-        let stream = |name| ChaCha8Rng::seed_from_u64(derive_seed(seed, &["highway", name]));
-        let mut rng = stream("ego");
-        let lane = rng.random_range(0..LANES);
-        let s = rng.random_range(0.0..road.length());
+    pub(crate) fn new(scene: Scene, seed: u64, vehicles: u32) -> Self {
+        let road = scene.map.road();
+        let mut rng = stream(seed, "ego");
+        let lanes = match scene.flow {
+            Flow::Free => LANES,
+            // There must be a lane that flows to its left.
+            Flow::Jam => LANES - 1,
+        };
+        let lane = rng.random_range(0..lanes);
+        let s = rng.random_range(road.starts());
         let ego = Ego::at_rest(
             road,
             Frenet {
@@ -55,23 +63,41 @@ impl World {
         let mut in_lane_s = [0.0; LANES];
         // The ego did not take the lane it starts in from anyone.
         in_lane_s[lane] = f64::INFINITY;
+        let (traffic_rng, vehicles) = (stream(seed, "traffic"), vehicles as usize);
         Self {
             road,
-            traffic: Traffic::new(road, stream("traffic"), vehicles as usize, s, lane),
+            traffic: match scene.flow {
+                Flow::Free => Traffic::new(road, traffic_rng, vehicles, s, lane),
+                Flow::Jam => Traffic::jammed(road, traffic_rng, vehicles, s, lane),
+            },
             metrics: Metrics::new(lane),
+            weather: None,
             ego,
             frames: 0,
             in_lane_s,
         }
     }
 
+    /// Gives the episode weather that drifts, from a stream of its own: nothing else changes.
+    pub(crate) fn let_weather_drift(&mut self, seed: u64) {
+        self.weather = Some(Weather::random(&mut stream(seed, "weather")));
+    }
+
     /// One frame of [`DT`]. `steer` is positive to the right; `pedal` is throttle if positive, else brake.
     pub(crate) fn step(&mut self, steer: f64, pedal: f64) -> Frame {
         self.frames += 1;
+        if let Some(weather) = &mut self.weather {
+            weather.step();
+        }
         let before = self.ego.at;
         self.ego.advance(self.road, steer, pedal);
         let body = self.ego_body();
-        let interaction = self.traffic.step(self.road, self.ego.at.s, Some(&body));
+        self.meet_traffic(before, steer, Some(&body))
+    }
+
+    /// The rest of a frame, after the ego moved on from `before`. Nobody brakes for an ego of `None`.
+    fn meet_traffic(&mut self, before: Frenet, steer: f64, ego: Option<&EgoBody>) -> Frame {
+        let interaction = self.traffic.step(self.road, self.ego.at.s, ego);
         let impulses = collision::resolve_ego(self.road, &mut self.ego, &mut self.traffic.cars);
         self.record(before, impulses);
         let reward = frame_reward(
@@ -153,13 +179,23 @@ impl World {
     }
 }
 
+/// The random numbers that `seed` gives to one part of the world.
+fn stream(seed: u64, part: &str) -> ChaCha8Rng {
+    ChaCha8Rng::seed_from_u64(derive_seed(seed, &["highway", part]))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::driver::CutInDriver;
+    use crate::highway::maps::Map;
+    use crate::render::Light;
+
+    const LOOP: Scene = Scene::new(Map::Loop, Light::Day);
 
     #[test]
     fn cutting_in_makes_an_interaction_and_slows_the_follower() {
-        let mut world = World::new(1, 1);
+        let mut world = World::new(LOOP, 1, 1);
         let road = world.road;
         world.ego = Ego::at_rest(
             road,
@@ -177,10 +213,12 @@ mod tests {
         };
         follower.speed = 13.0;
         follower.temper.desired_m_s = 13.0;
+        let mut speeds = Vec::new();
         let mut cut_in_at = None;
         let mut interaction_at = None;
         for tick in 0..60 {
             let frame = world.step(-0.15, 0.1);
+            speeds.push(world.traffic.cars[0].speed);
             if cut_in_at.is_none() && world.ego_body().body.lanes & 0b0100 != 0 {
                 cut_in_at = Some(tick);
             }
@@ -193,12 +231,49 @@ mod tests {
             (cut_in..=cut_in + 3).contains(&interaction),
             "{cut_in} {interaction}"
         );
-        assert!(world.traffic.cars[0].speed < 12.0);
+        let within_a_second = speeds[cut_in + 20];
+        assert!(
+            within_a_second < speeds[cut_in] - 1.0,
+            "{} to {within_a_second}",
+            speeds[cut_in]
+        );
+    }
+
+    /// What the driver who cuts in earns in a jam whose cars brake for it or do not.
+    fn jam_return(seed: u64, others_brake: bool) -> f64 {
+        let mut world = World::new(Scene::jam(Light::Day), seed, 30);
+        let mut driver = CutInDriver::default();
+        let mut sum = 0.0;
+        for _ in 0..250 {
+            let action = driver.decide(&world.privileged());
+            let [steer, pedal] = [action[0], action[1]].map(f64::from);
+            for _ in 0..4 {
+                let before = world.ego.at;
+                world.ego.advance(world.road, steer, pedal);
+                let body = world.ego_body();
+                let seen = others_brake.then_some(&body);
+                sum += world.meet_traffic(before, steer, seen).reward / 4.0;
+            }
+        }
+        sum
+    }
+
+    #[test]
+    fn in_a_jam_cutting_in_pays_because_others_brake() {
+        const CRAWLING_ON: f64 = 31.5;
+        let (mut trusted, mut unseen) = (0.0, 0.0);
+        for seed in 0..6 {
+            trusted += jam_return(seed, true) / 6.0;
+            unseen += jam_return(seed, false) / 6.0;
+        }
+        println!("{trusted:.1} if others brake, {unseen:.1} if they do not");
+        assert!(trusted > 2.0 * CRAWLING_ON, "{trusted}");
+        assert!(unseen < CRAWLING_ON, "{unseen}");
     }
 
     #[test]
     fn leaving_the_road_ends_the_episode() {
-        let mut world = World::new(1, 0);
+        let mut world = World::new(LOOP, 1, 0);
         world.ego = Ego::at_rest(
             world.road,
             Frenet {
@@ -211,7 +286,7 @@ mod tests {
 
     #[test]
     fn standing_ends_the_episode_at_the_check_and_not_before() {
-        let mut world = World::new(1, 0);
+        let mut world = World::new(LOOP, 1, 0);
         for frame in 1..100 {
             assert_eq!(world.step(0.0, -1.0).end, None, "frame {frame}");
         }
@@ -220,7 +295,7 @@ mod tests {
 
     #[test]
     fn rewards_forward_speed_by_hand() {
-        let mut world = World::new(1, 0);
+        let mut world = World::new(LOOP, 1, 0);
         world.ego.speed = 20.0;
         let reward = world.step(0.0, 0.0).reward;
         assert!((reward - 1.0).abs() < 0.01, "{reward}");
@@ -228,7 +303,7 @@ mod tests {
 
     #[test]
     fn the_ego_takes_up_every_lane_that_its_body_overlaps() {
-        let mut world = World::new(1, 0);
+        let mut world = World::new(LOOP, 1, 0);
         let d = lane_center(1) + 1.2;
         world.ego = Ego::at_rest(world.road, Frenet { s: 50.0, d });
         let body = world.ego_body();
@@ -238,7 +313,7 @@ mod tests {
 
     #[test]
     fn a_collision_costs_its_impulse() {
-        let mut world = World::new(1, 1);
+        let mut world = World::new(LOOP, 1, 1);
         let road = world.road;
         world.ego = Ego::at_rest(
             road,

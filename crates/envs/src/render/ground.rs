@@ -3,7 +3,7 @@
 
 use super::camera::{Camera, EYE_HEIGHT_M};
 use super::colour::{Rgb, mix, noise, scale};
-use super::light::{Facing, Light};
+use super::light::{Facing, Lighting};
 use super::raster::Raster;
 use crate::environment::class;
 use crate::highway::{BARRIER_D, LANE_WIDTH, LANES, LANES_HALF_WIDTH, Road};
@@ -34,7 +34,7 @@ struct Footprint {
 /// Draws the ground of one picture.
 pub(super) struct Ground<'a> {
     pub(super) camera: &'a Camera,
-    pub(super) light: Light,
+    pub(super) light: &'a Lighting,
     pub(super) road: &'a Road,
     pub(super) ego_s: f64,
     /// What stands on the ground: pixels that it hides are left out.
@@ -84,7 +84,7 @@ impl Ground<'_> {
     fn add_rays(&self, row: &mut Row, y: usize, offset: f64, share: f64, guess: f64) -> f64 {
         let camera = self.camera;
         let ahead = EYE_HEIGHT_M * camera.focal / offset;
-        let haze = self.light.horizon();
+        let haze = self.light.horizon;
         if ahead > FARTHEST_M {
             for colour in &mut row.colours {
                 *colour = add(*colour, haze, share as f32);
@@ -143,7 +143,7 @@ fn rays_per_pixel(below_horizon: f64) -> usize {
     }
 }
 
-fn albedo(light: Light, at: &Footprint) -> Rgb {
+fn albedo(light: &Lighting, at: &Footprint) -> Rgb {
     let road = coverage(at.d, at.across, -LANES_HALF_WIDTH, LANES_HALF_WIDTH);
     let paved = coverage(at.d, at.across, -BARRIER_D, BARRIER_D);
     let mut colour = SHOULDER;
@@ -203,7 +203,12 @@ fn paint(mut colour: Rgb, at: &Footprint) -> Rgb {
 /// Share of `[centre - extent / 2, centre + extent / 2]` that lies in `[from, to]`.
 fn coverage(centre: f64, extent: f64, from: f64, to: f64) -> f32 {
     let (low, high) = (centre - extent / 2.0, centre + extent / 2.0);
-    ((high.min(to) - low.max(from)).max(0.0) / extent) as f32
+    let covered = high.min(to) - low.max(from);
+    // Most footprints miss most lines: this spares their divisions.
+    if covered <= 0.0 {
+        return 0.0;
+    }
+    (covered / extent) as f32
 }
 
 const PERIODS_BEFORE: f64 = 1e5;

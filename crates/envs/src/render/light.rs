@@ -1,7 +1,7 @@
 //! Day and night: what colours things have, and how light falls on them.
 
 use super::camera::ViewPoint;
-use super::colour::{Rgb, mix, scale};
+use super::colour::{Rgb, mix};
 
 /// The time of day.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,85 +22,92 @@ pub(super) enum Facing {
     Up,
 }
 
-impl Light {
-    pub(super) fn zenith(self) -> Rgb {
-        match self {
-            Self::Day => [0.27, 0.50, 0.86],
-            Self::Night => [0.01, 0.015, 0.045],
-        }
-    }
-
+/// The colours of sky and distance, and the strength of what shines.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Lighting {
+    pub(super) light: Light,
+    pub(super) zenith: Rgb,
     /// Also the colour of distance.
-    pub(super) fn horizon(self) -> Rgb {
-        match self {
-            Self::Day => [0.76, 0.86, 0.95],
-            Self::Night => [0.06, 0.07, 0.13],
-        }
-    }
+    pub(super) horizon: Rgb,
+    pub(super) cloud: Rgb,
+    pub(super) far_mountain: Rgb,
+    pub(super) near_hill: Rgb,
+    /// How much more of the sky clouds cover than on a fine day, 0 to 1.
+    pub(super) cloudiness: f64,
+    pub(super) visibility_m: f32,
+    /// Sunlight relative to that of a fine day.
+    pub(super) sun: Rgb,
+    /// Share of its daylight brightness that a thing keeps in the dark.
+    pub(super) dark: f32,
+}
 
-    pub(super) fn cloud(self) -> Rgb {
-        match self {
-            Self::Day => [1.0, 1.0, 1.0],
-            Self::Night => [0.10, 0.11, 0.16],
-        }
-    }
-
-    pub(super) fn far_mountain(self) -> Rgb {
-        match self {
-            Self::Day => [0.49, 0.58, 0.72],
-            Self::Night => [0.035, 0.04, 0.075],
-        }
-    }
-
-    pub(super) fn near_hill(self) -> Rgb {
-        match self {
-            Self::Day => [0.36, 0.50, 0.42],
-            Self::Night => [0.02, 0.028, 0.04],
-        }
-    }
-
-    fn visibility_m(self) -> f32 {
-        match self {
-            Self::Day => 420.0,
-            Self::Night => 260.0,
+impl Lighting {
+    /// The light of a fine day or night.
+    pub(super) fn of(light: Light) -> Self {
+        match light {
+            Light::Day => Self {
+                light,
+                zenith: [0.27, 0.50, 0.86],
+                horizon: [0.76, 0.86, 0.95],
+                cloud: [1.0, 1.0, 1.0],
+                far_mountain: [0.49, 0.58, 0.72],
+                near_hill: [0.36, 0.50, 0.42],
+                cloudiness: 0.0,
+                visibility_m: 420.0,
+                sun: [1.0; 3],
+                dark: 1.0,
+            },
+            Light::Night => Self {
+                light,
+                zenith: [0.01, 0.015, 0.045],
+                horizon: [0.06, 0.07, 0.13],
+                cloud: [0.10, 0.11, 0.16],
+                far_mountain: [0.035, 0.04, 0.075],
+                near_hill: [0.02, 0.028, 0.04],
+                cloudiness: 0.0,
+                visibility_m: 260.0,
+                sun: [1.0; 3],
+                dark: 0.15,
+            },
         }
     }
 
     /// Share of a colour that is left after `ahead` metres of air.
-    pub(super) fn clearness(self, ahead: f32) -> f32 {
-        (-ahead / self.visibility_m()).exp()
+    pub(super) fn clearness(&self, ahead: f32) -> f32 {
+        (-ahead / self.visibility_m).exp()
     }
 
     /// `colour` as it reaches the camera over `ahead` metres of air.
-    pub(super) fn through_air(self, colour: Rgb, ahead: f32) -> Rgb {
-        mix(self.horizon(), colour, self.clearness(ahead))
+    pub(super) fn through_air(&self, colour: Rgb, ahead: f32) -> Rgb {
+        mix(self.horizon, colour, self.clearness(ahead))
     }
 
     /// `albedo` at `point` lit by sun or headlights and lamps, and seen through the air.
-    pub(super) fn shade(self, albedo: Rgb, point: ViewPoint, facing: Facing) -> Rgb {
+    pub(super) fn shade(&self, albedo: Rgb, point: ViewPoint, facing: Facing) -> Rgb {
         self.through_air(self.lit(albedo, point, facing), point[2])
     }
 
     /// `albedo` at `point` lit by sun or headlights.
-    pub(super) fn lit(self, albedo: Rgb, [right, _, ahead]: ViewPoint, facing: Facing) -> Rgb {
-        let strength = match (self, facing) {
-            (Self::Day, Facing::Ground) => 1.0,
-            (Self::Day, Facing::Camera) => 0.92,
-            (Self::Day, Facing::Side) => 0.70,
-            (Self::Day, Facing::Up) => 1.08,
-            (Self::Night, Facing::Ground) => NIGHT + headlights(right, ahead),
-            (Self::Night, Facing::Camera) => 1.5 * NIGHT + headlights(right, ahead),
-            (Self::Night, Facing::Side) => 1.5 * NIGHT + 0.45 * headlights(right, ahead),
-            (Self::Night, Facing::Up) => 2.0 * NIGHT + 0.25 * headlights(right, ahead),
+    #[inline]
+    pub(super) fn lit(&self, albedo: Rgb, [right, _, ahead]: ViewPoint, facing: Facing) -> Rgb {
+        let strength = match (self.light, facing) {
+            (Light::Day, Facing::Ground) => 1.0,
+            (Light::Day, Facing::Camera) => 0.92,
+            (Light::Day, Facing::Side) => 0.70,
+            (Light::Day, Facing::Up) => 1.08,
+            (Light::Night, Facing::Ground) => self.dark + headlights(right, ahead),
+            (Light::Night, Facing::Camera) => 1.5 * self.dark + headlights(right, ahead),
+            (Light::Night, Facing::Side) => 1.5 * self.dark + 0.45 * headlights(right, ahead),
+            (Light::Night, Facing::Up) => 2.0 * self.dark + 0.25 * headlights(right, ahead),
         };
-        scale(albedo, strength)
+        std::array::from_fn(|i| albedo[i] * strength * self.sun[i])
     }
 
     /// By what factor street lamps brighten things at road position `s`, less one.
-    pub(super) fn lamps(self, s: f64) -> f32 {
-        match self {
-            Self::Day => 0.0,
-            Self::Night => {
+    pub(super) fn lamps(&self, s: f64) -> f32 {
+        match self.light {
+            Light::Day => 0.0,
+            Light::Night => {
                 let lamp = ((s / LAMP_EVERY_M + 0.5) as i64) as f64 * LAMP_EVERY_M;
                 let part = ((s - lamp) / 11.0) as f32;
                 let spread = 1.0 + part * part;
@@ -110,9 +117,7 @@ impl Light {
     }
 }
 
-/// Share of its daylight brightness that a thing keeps in the dark.
-const NIGHT: f32 = 0.15;
-/// How much brighter things are below a street lamp, relative to their share of [`NIGHT`].
+/// How much brighter things are below a street lamp, relative to what they keep in the dark.
 const LAMPLIGHT: f32 = 0.9;
 
 /// Brightness from the ego's headlights, aimed straight ahead.

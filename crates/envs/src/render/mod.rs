@@ -5,6 +5,7 @@
 
 mod camera;
 mod colour;
+mod drift;
 mod ground;
 mod light;
 mod raster;
@@ -16,6 +17,7 @@ use self::camera::Camera;
 use self::colour::{Rgb, to_bytes};
 use self::ground::Ground;
 pub(crate) use self::light::Light;
+use self::light::Lighting;
 use self::raster::{EMPTY, Raster, SAMPLES};
 use crate::environment::class;
 use crate::highway::World;
@@ -45,19 +47,24 @@ impl Renderer {
     pub(crate) fn render(&mut self, world: &World) -> Vec<u8> {
         let camera = Camera::on_ego(world.ego.position, world.ego.yaw, self.size);
         let ego_s = world.ego.at.s;
-        sky::draw(&camera, self.light, &mut self.backdrop, self.size);
+        let fine = Lighting::of(self.light);
+        let light = world
+            .weather
+            .as_ref()
+            .map_or(fine, |weather| fine.under(weather));
+        sky::draw(&camera, &light, &mut self.backdrop, self.size);
         self.raster.clear();
-        roadside::draw(&camera, self.light, world.road, ego_s, &mut self.raster);
+        roadside::draw(&camera, &light, world.road, ego_s, &mut self.raster);
         vehicles::draw(
             &camera,
-            self.light,
+            &light,
             world.road,
             &world.traffic.cars,
             &mut self.raster,
         );
         let ground = Ground {
             camera: &camera,
-            light: self.light,
+            light: &light,
             road: world.road,
             ego_s,
             covered: &self.raster,
@@ -126,11 +133,11 @@ impl Renderer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::highway::{Frenet, lane_center};
+    use crate::highway::{Frenet, Map, Scene, lane_center};
 
     /// The ego in lane 1 on a straight piece, and one car `ahead` of it in `lane`.
     fn world_with_car(ahead: f64, lane: usize) -> World {
-        let mut world = World::new(1, 1);
+        let mut world = World::new(Scene::new(Map::Loop, Light::Day), 1, 1);
         let s = 1_000.0;
         world.ego.at = Frenet {
             s,

@@ -3,7 +3,7 @@
 
 use super::camera::{Camera, ViewPoint};
 use super::colour::{Rgb, mix, noise, scale};
-use super::light::{Facing, LAMP_EVERY_M, Light};
+use super::light::{Facing, LAMP_EVERY_M, Light, Lighting};
 use super::raster::{Layer, Raster};
 use crate::environment::class;
 use crate::highway::{BARRIER_D, Frenet, Road};
@@ -24,13 +24,19 @@ const LEAVES: [Rgb; 3] = [[0.10, 0.34, 0.12], [0.20, 0.42, 0.12], [0.07, 0.27, 0
 
 struct Brush<'a> {
     camera: &'a Camera,
-    light: Light,
+    light: &'a Lighting,
     road: &'a Road,
     raster: &'a mut Raster,
 }
 
 /// Draws everything beside the lanes around `ego_s`.
-pub(super) fn draw(camera: &Camera, light: Light, road: &Road, ego_s: f64, raster: &mut Raster) {
+pub(super) fn draw(
+    camera: &Camera,
+    light: &Lighting,
+    road: &Road,
+    ego_s: f64,
+    raster: &mut Raster,
+) {
     let mut brush = Brush {
         camera,
         light,
@@ -125,7 +131,7 @@ impl Brush<'_> {
         self.post(foot, 0.11, 7.0, colour);
         let mut head = self.view(s, side * (BARRIER_D - 0.8), 6.9);
         head[2] = foot[2].min(head[2]);
-        let glow = match self.light {
+        let glow = match self.light.light {
             Light::Day => self.light.shade(POLE, foot, Facing::Side),
             Light::Night => self.light.through_air(LAMP, foot[2] * 0.5),
         };

@@ -2,13 +2,13 @@
 
 use super::camera::Camera;
 use super::colour::{Rgb, mix};
-use super::light::Light;
+use super::light::Lighting;
 
 /// Two crossing waves of cloud: angular frequency in azimuth and in elevation.
 const CLOUD_WAVES: [[f64; 2]; 2] = [[6.0, 9.0], [11.0, -23.0]];
 
 /// Fills the rows above the horizon of `image`, a row-major picture of `size` x `size`.
-pub(super) fn draw(camera: &Camera, light: Light, image: &mut [Rgb], size: usize) {
+pub(super) fn draw(camera: &Camera, light: &Lighting, image: &mut [Rgb], size: usize) {
     let rows: Vec<Row> = (0..size.div_ceil(2))
         .map(|y| Row::new(camera, light, y))
         .collect();
@@ -21,9 +21,9 @@ pub(super) fn draw(camera: &Camera, light: Light, image: &mut [Rgb], size: usize
             // How much of the pixel lies below a ridge: smooth edges without samples.
             let below =
                 |ridge: f64| ((ridge - row.elevation) * camera.focal + 0.5).clamp(0.0, 1.0) as f32;
-            let mut colour = mix(row.colour, light.cloud(), row.clouds(waves));
-            colour = mix(colour, light.far_mountain(), below(far));
-            image[y * size + x] = mix(colour, light.near_hill(), below(near));
+            let mut colour = mix(row.colour, light.cloud, row.clouds(waves));
+            colour = mix(colour, light.far_mountain, below(far));
+            image[y * size + x] = mix(colour, light.near_hill, below(near));
         }
     }
 }
@@ -36,16 +36,19 @@ struct Row {
     waves: [(f64, f64); 2],
     /// How dense clouds may be at this height.
     band: f64,
+    /// What the waves must add up to for a cloud.
+    threshold: f64,
 }
 
 impl Row {
-    fn new(camera: &Camera, light: Light, y: usize) -> Self {
+    fn new(camera: &Camera, light: &Lighting, y: usize) -> Self {
         let elevation = (camera.centre - y as f64 - 0.5) / camera.focal;
         let height = (elevation / 0.5).clamp(0.0, 1.0) as f32;
         Self {
             elevation,
-            colour: mix(light.horizon(), light.zenith(), height.sqrt()),
+            colour: mix(light.horizon, light.zenith, height.sqrt()),
             waves: CLOUD_WAVES.map(|[_, frequency]| (frequency * elevation).sin_cos()),
+            threshold: 0.3 - 1.3 * light.cloudiness,
             band: (1.0 - ((elevation - 0.33) / 0.2).powi(2)).max(0.0),
         }
     }
@@ -55,7 +58,7 @@ impl Row {
         let sum: f64 = (columns.iter().zip(&self.waves))
             .map(|((sin_a, cos_a), (sin_b, cos_b))| sin_a * cos_b + cos_a * sin_b)
             .sum();
-        (0.45 * (sum - 0.3).max(0.0) * self.band).min(0.8) as f32
+        (0.45 * (sum - self.threshold).max(0.0) * self.band).min(0.8) as f32
     }
 }
 

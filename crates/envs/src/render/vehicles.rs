@@ -2,7 +2,7 @@
 
 use super::camera::{Camera, ViewPoint};
 use super::colour::{Rgb, scale};
-use super::light::{Facing, Light};
+use super::light::{Facing, Light, Lighting};
 use super::raster::{Layer, Raster};
 use crate::environment::class;
 use crate::geometry::Vec2;
@@ -81,7 +81,7 @@ impl Block {
 
 struct Brush<'a> {
     camera: &'a Camera,
-    light: Light,
+    light: &'a Lighting,
     raster: &'a mut Raster,
     pose: Pose,
 }
@@ -168,7 +168,13 @@ impl Brush<'_> {
 }
 
 /// Draws `cars` as the camera sees them.
-pub(super) fn draw(camera: &Camera, light: Light, road: &Road, cars: &[Car], raster: &mut Raster) {
+pub(super) fn draw(
+    camera: &Camera,
+    light: &Lighting,
+    road: &Road,
+    cars: &[Car],
+    raster: &mut Raster,
+) {
     for car in cars {
         let position = road.to_world(car.at);
         let offset = position - camera.eye;
@@ -249,7 +255,7 @@ fn cabin(build: Build, x: f32, y: f32, belt: f32, height: f32) -> Block {
 
 fn lamps(brush: &mut Brush<'_>, car: &Car, x: f32, y: f32, belt: f32) {
     let brakes = car.acceleration < -BRAKE_LIGHT_M_S2;
-    let (tail, head) = match (brakes, brush.light) {
+    let (tail, head) = match (brakes, brush.light.light) {
         (true, _) => (BRAKE_LAMP, HEAD_LAMP),
         (false, Light::Night) => (TAIL_LAMP_GLOW, HEAD_LAMP),
         (false, Light::Day) => (TAIL_LAMP, scale(HEAD_LAMP, 0.9)),

@@ -1,0 +1,75 @@
+//! Drivers that plan nothing.
+
+use isodream_core::derive_seed;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::Driver;
+use super::controls::{drive, steer, view};
+use crate::{EnvError, Environment};
+
+/// Draws each component uniformly from `[-1, 1]`.
+#[derive(Debug, Clone)]
+pub struct RandomDriver {
+    rng: ChaCha8Rng,
+}
+
+impl RandomDriver {
+    /// A driver whose actions follow from `seed`.
+    pub fn new(seed: u64) -> Self {
+        Self {
+            rng: ChaCha8Rng::seed_from_u64(derive_seed(seed, &["random-driver"])),
+        }
+    }
+}
+
+impl Driver for RandomDriver {
+    fn act(&mut self, env: &dyn Environment) -> Result<Vec<f32>, EnvError> {
+        Ok((0..env.spec().action_dim)
+            .map(|_| self.rng.random_range(-1.0..=1.0))
+            .collect())
+    }
+}
+
+/// Stays in the lane it starts in, behind whoever drives there.
+#[derive(Debug, Clone, Default)]
+pub struct KeepLaneDriver {
+    lane: Option<usize>,
+}
+
+impl Driver for KeepLaneDriver {
+    fn act(&mut self, env: &dyn Environment) -> Result<Vec<f32>, EnvError> {
+        let view = view(env)?;
+        let lane = *self.lane.get_or_insert(view.lane);
+        Ok(drive(&view, lane, 1 << lane | 1 << view.lane))
+    }
+}
+
+/// Brakes for ever: the worst that a driver without accidents can earn.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct StandStillDriver;
+
+impl Driver for StandStillDriver {
+    fn act(&mut self, _env: &dyn Environment) -> Result<Vec<f32>, EnvError> {
+        Ok(vec![0.0, -1.0])
+    }
+}
+
+/// Full throttle through the traffic, weaving between the outer lanes without regard for anyone.
+#[derive(Debug, Clone, Default)]
+pub struct RecklessDriver {
+    steps: usize,
+}
+
+/// Agent steps for which the reckless driver makes for one side of the road.
+const WEAVE_STEPS: usize = 20;
+
+impl Driver for RecklessDriver {
+    fn act(&mut self, env: &dyn Environment) -> Result<Vec<f32>, EnvError> {
+        let view = view(env)?;
+        let to_the_left = (self.steps / WEAVE_STEPS).is_multiple_of(2);
+        self.steps += 1;
+        let lane = if to_the_left { view.lanes - 1 } else { 0 };
+        Ok(vec![steer(&view, view.lane_center_m(lane)) as f32, 1.0])
+    }
+}
