@@ -1,9 +1,13 @@
 //! `isodream env bench`: frames per second with a picture each, and simulator steps per second without.
 
+#[cfg(feature = "mujoco")]
+use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::ensure;
 use clap::Args;
+#[cfg(feature = "mujoco")]
+use isodream_envs::dmc::parity::Peer;
 use isodream_envs::{RandomDriver, ScriptedDriver, ids, make};
 use serde::Serialize;
 
@@ -21,6 +25,11 @@ pub(crate) struct BenchArgs {
     /// Seconds spent on each measurement
     #[arg(long, default_value_t = 1.0)]
     seconds: f64,
+    /// A folder for Python with dm_control, which is measured as well where there is software OpenGL for it
+    /// (Debian: libosmesa6)
+    #[cfg(feature = "mujoco")]
+    #[arg(long)]
+    peer: Option<PathBuf>,
     /// A setting of the environments, for example env.vehicles=10; may be repeated
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
@@ -58,11 +67,25 @@ pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
         results.push(EnvBench {
             frames_per_s: rate(&id, 1, args)?,
             steps_per_s: rate(&id, BLIND_REPEAT, args)?,
+            #[cfg(feature = "mujoco")]
+            peer_frames_per_s: peer_rate(&id, args)?,
+            #[cfg(not(feature = "mujoco"))]
             peer_frames_per_s: None,
             id,
         });
     }
     print_result(&results, args.json, |results| table(results))
+}
+
+/// What dm_control makes of the same task, if it is to be measured and can be.
+#[cfg(feature = "mujoco")]
+fn peer_rate(id: &str, args: &BenchArgs) -> anyhow::Result<Option<f64>> {
+    match (&args.peer, id.strip_prefix("dmc/")) {
+        (Some(folder), Some(task)) if !task.contains('/') => {
+            Ok(Peer::install(folder)?.frames_per_s(task, args.seconds)?)
+        }
+        _ => Ok(None),
+    }
 }
 
 /// Simulator steps per second with a picture for every `repeat` of them.

@@ -3,6 +3,8 @@
 mod bench;
 mod list;
 mod play;
+#[cfg(feature = "mujoco")]
+mod verify;
 
 use clap::Subcommand;
 use isodream_core::Config;
@@ -17,6 +19,9 @@ pub(crate) enum EnvCommand {
     Play(play::PlayArgs),
     /// Frames and simulator steps per second
     Bench(bench::BenchArgs),
+    /// DeepMind Control against dm_control, and whether traffic keeps clear of itself
+    #[cfg(feature = "mujoco")]
+    Verify(verify::VerifyArgs),
 }
 
 /// Runs the command.
@@ -25,6 +30,8 @@ pub(crate) fn run(command: &EnvCommand) -> anyhow::Result<()> {
         EnvCommand::List(args) => list::run(args),
         EnvCommand::Play(args) => play::run(args),
         EnvCommand::Bench(args) => bench::run(args),
+        #[cfg(feature = "mujoco")]
+        EnvCommand::Verify(args) => verify::run(args),
     }
 }
 

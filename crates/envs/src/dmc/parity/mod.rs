@@ -1,11 +1,13 @@
 //! The same seeds and actions here and in dm_control itself: how far apart do states and rewards come out?
 
+mod pictures;
 mod venv;
 
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+pub use self::pictures::PictureParity;
 use self::venv::said;
 use super::random::RandomState;
 use super::{ControlError, ControlTask};
