@@ -54,6 +54,9 @@ impl Renderer {
     }
 
     /// Draws the scene: `[height, width, 3]` red, green and blue, the upper left pixel first.
+    ///
+    /// # Panics
+    /// If the scene names a texture or mesh that is not there, or has more than 65,535 geoms.
     pub fn render(&mut self, scene: &Scene) -> Vec<u8> {
         let mut picture = vec![0; self.width * self.height * 3];
         self.render_into(scene, &mut picture);
@@ -63,12 +66,17 @@ impl Renderer {
     /// [`render`](Self::render) into memory that is there.
     ///
     /// # Panics
-    /// If that is not `height * width * 3` bytes.
+    /// As there, and if that is not `height * width * 3` bytes.
     pub fn render_into(&mut self, scene: &Scene, picture: &mut [u8]) {
         assert_eq!(
             picture.len(),
             self.width * self.height * 3,
             "bytes of the picture"
+        );
+        assert!(
+            scene.geoms.len() <= usize::from(NOTHING),
+            "a scene of {} geoms is too large",
+            scene.geoms.len()
         );
         let assets = Arc::clone(&self.assets);
         let lens = Lens::new(&scene.camera, self.width, self.height);

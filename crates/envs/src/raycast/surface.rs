@@ -2,7 +2,7 @@
 
 use super::mesh::MeshHit;
 use super::scene::{Assets, Geom, Shape, Surface, TextureUse};
-use super::shape::{MISS, Rays};
+use super::shape::Rays;
 use super::vec3::Vec3;
 use super::view::View;
 
@@ -33,10 +33,12 @@ impl Visible {
                 hit: Some(hit),
             });
         }
-        let [depth] = geom
-            .shape
-            .enter(&assets.meshes, view.origin, &Rays::one(ray));
-        if depth < near || depth == MISS {
+        let depth = match geom.shape {
+            // Polygons are lit in the middle of a pixel, even if only other parts of it are theirs.
+            Shape::Plane { .. } => -view.origin.z / ray.z,
+            shape => shape.enter(&assets.meshes, view.origin, &Rays::one(ray))[0],
+        };
+        if !depth.is_finite() || depth < near {
             return None;
         }
         let position = view.origin + ray * depth;
