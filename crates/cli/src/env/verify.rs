@@ -1,18 +1,24 @@
 //! `isodream env verify`: the same states, rewards and pictures as in dm_control, and traffic without collisions.
 
+use std::fs;
 use std::path::PathBuf;
 
-use anyhow::ensure;
+use anyhow::{Context, ensure};
 use clap::Args;
 use isodream_envs::dmc::ids;
 use isodream_envs::dmc::parity::{Parity, Peer, PictureParity, Plan};
 use isodream_envs::traffic_without_collisions;
+use isodream_telemetry::Rgb;
 use serde::Serialize;
 
 use crate::output::print_result;
 
 /// States whose pictures are compared.
 const PICTURES: usize = 40;
+/// How many of them are shown.
+const SHOWN: usize = 8;
+/// Height and width of each.
+const SIDE: usize = 64;
 /// Cars of the paper's setup.
 const VEHICLES: u32 = 30;
 
@@ -34,6 +40,9 @@ pub(crate) struct VerifyArgs {
     /// Hours that the highway's traffic is simulated without an ego
     #[arg(long, default_value_t = 1.0)]
     traffic_hours: f64,
+    /// A folder for pictures of both, ours above dm_control's
+    #[arg(long)]
+    pictures: Option<PathBuf>,
     /// Print JSON instead of a table
     #[arg(long)]
     json: bool,
@@ -58,7 +67,7 @@ struct TaskParity {
 }
 
 impl TaskParity {
-    fn new(numbers: &Parity, pictures: Option<PictureParity>) -> Self {
+    fn new(numbers: &Parity, pictures: Option<&PictureParity>) -> Self {
         Self {
             id: numbers.id,
             max_abs_state_diff: numbers.max_abs_state_diff,
@@ -85,11 +94,19 @@ pub(super) fn run(args: &VerifyArgs) -> anyhow::Result<()> {
     } else {
         args.tasks.iter().map(String::as_str).collect()
     };
+    if let Some(folder) = &args.pictures {
+        fs::create_dir_all(folder)
+            .with_context(|| format!("cannot create {}", folder.display()))?;
+    }
     let peer = Peer::install(&args.peer)?;
     let mut results = Vec::new();
     for numbers in peer.compare(&tasks, Plan::FULL)? {
         let pictures = peer.compare_pictures(numbers.id, PICTURES)?;
-        results.push(TaskParity::new(&numbers, pictures));
+        if let (Some(folder), Some(pictures)) = (&args.pictures, &pictures) {
+            let path = folder.join(format!("{}.png", numbers.id));
+            side_by_side(pictures).save_png(&path)?;
+        }
+        results.push(TaskParity::new(&numbers, pictures.as_ref()));
     }
     let traffic = traffic_without_collisions(args.traffic_hours, VEHICLES, 0)?;
     let result = Verification {
@@ -114,6 +131,18 @@ pub(super) fn run(args: &VerifyArgs) -> anyhow::Result<()> {
         "two cars of the traffic collided"
     );
     Ok(())
+}
+
+/// Some of the pictures, ours in the upper row.
+fn side_by_side(pictures: &PictureParity) -> Rgb {
+    let row = |bytes: &[u8]| {
+        let frames = bytes.chunks_exact(SIDE * SIDE * 3);
+        let shown = frames.step_by(PICTURES / SHOWN).take(SHOWN);
+        shown
+            .map(|frame| Rgb::new(SIDE, SIDE, frame.to_vec()).upscale(2))
+            .collect()
+    };
+    Rgb::tile(&[row(&pictures.ours), row(&pictures.theirs)], 2)
 }
 
 impl Verification {

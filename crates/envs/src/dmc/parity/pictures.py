@@ -25,7 +25,7 @@ GREEN = ".2 .8 .2"
 
 
 def make_green(hard):
-    """Recolours the textures that all models of the suite include; to be called before a model is loaded."""
+    """Recolours textures of the models and of what they include; to be called before a model is loaded."""
     names = ("skybox", "grid") if hard else ("skybox",)
 
     def recolour(texture):
@@ -34,11 +34,15 @@ def make_green(hard):
             return text
         return re.sub(r'\b(rgb1|rgb2|markrgb)="[^"]*"', rf'\1="{GREEN}"', text)
 
-    for path, content in common.ASSETS.items():
-        if not path.endswith(".xml"):
-            continue
+    def recoloured(content):
         text = content.decode() if isinstance(content, bytes) else content
-        common.ASSETS[path] = re.sub(r"<texture\b[^>]*>", recolour, text).encode()
+        return re.sub(r"<texture\b[^>]*>", recolour, text).encode()
+
+    for path, content in common.ASSETS.items():
+        if path.endswith(".xml"):
+            common.ASSETS[path] = recoloured(content)
+    read_model = common.read_model
+    common.read_model = lambda name: recoloured(read_model(name))
 
 
 def place_of_target(physics, domain, task):
