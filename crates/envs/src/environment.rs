@@ -66,6 +66,21 @@ pub struct Transition {
     pub end_reason: Option<EndReason>,
 }
 
+impl Transition {
+    /// Row 0 of an episode.
+    pub fn first(image: Vec<u8>) -> Self {
+        Self {
+            image,
+            reward: 0.0,
+            discount: 1.0,
+            is_last: false,
+            is_terminal: false,
+            interaction: false,
+            end_reason: None,
+        }
+    }
+}
+
 /// Why an episode ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum EndReason {

@@ -1,18 +1,10 @@
 //! Gaussian noise on images.
 
+pub use isodream_core::config::NoiseTarget;
 use rand::{Rng, RngExt};
 
 /// Quantiles in the table: draws are of 12 bits, the largest deviates by 3.7 sigma.
 const QUANTILES: usize = 4096;
-
-/// Which pixels are noisy.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum NoiseTarget {
-    /// All of them.
-    Image,
-    /// Those of the background, where the environment knows which they are.
-    Background,
-}
 
 /// Independent noise on every channel of every pixel. The paper that tests with it names neither its strength
 /// nor its target.

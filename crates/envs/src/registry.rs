@@ -7,7 +7,7 @@ use isodream_core::{EnvSpec, ImageShape};
 
 use crate::highway::family::HIGHWAY;
 use crate::id::{EnvId, unknown};
-use crate::{EnvError, Environment};
+use crate::{EnvError, Environment, GaussianNoise, Noisy};
 
 type Make = fn(EnvId<'_>, &EnvConfig, EnvSpec) -> Result<Box<dyn Environment>, EnvError>;
 
@@ -50,7 +50,15 @@ pub fn ids() -> &'static [&'static str] {
 /// If the id is unknown (its nearest known ids are named) or a value is out of range.
 pub fn make(config: &EnvConfig) -> Result<Box<dyn Environment>, EnvError> {
     let (family, id) = find(&config.id)?;
-    (family.make)(id, config, spec(config)?)
+    let env = (family.make)(id, config, spec(config)?)?;
+    if config.noise_std == 0.0 {
+        return Ok(env);
+    }
+    let noise = GaussianNoise {
+        sigma: config.noise_std,
+        target: config.noise_target,
+    };
+    Ok(Box::new(Noisy::new(env, noise)?))
 }
 
 /// The spec of the environment that `config` describes, without making it.
@@ -130,6 +138,26 @@ mod tests {
         sorted.sort_unstable();
         sorted.dedup();
         assert_eq!(sorted.len(), ids().len(), "an id is listed twice");
+    }
+
+    #[test]
+    fn noise_is_a_setting() {
+        let clean = make(&with_id("highway/day")).unwrap().reset(3).unwrap();
+        let noisy = |noise_std| {
+            make(&EnvConfig {
+                noise_std,
+                ..with_id("highway/day")
+            })
+        };
+        let shown = noisy(10.0).unwrap().reset(3).unwrap();
+        let pairs = shown.image.iter().zip(&clean.image);
+        let squares: f64 = pairs
+            .map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2))
+            .sum();
+        let std = (squares / clean.image.len() as f64).sqrt();
+        // Dark and bright channels are clipped.
+        assert!((8.0..10.5).contains(&std), "{std}");
+        assert!(noisy(-1.0).is_err() && noisy(f32::NAN).is_err());
     }
 
     #[test]

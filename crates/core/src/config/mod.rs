@@ -8,7 +8,7 @@ mod load;
 mod model;
 mod training;
 
-pub use environment::{BackgroundOrder, EnvConfig, RepeatReward};
+pub use environment::{BackgroundOrder, EnvConfig, NoiseTarget, RepeatReward};
 pub use load::{ConfigError, PRESETS, Source};
 pub use model::{InverseInput, LossConfig, ModelConfig, VarianceLoss};
 pub use training::{

@@ -73,15 +73,7 @@ impl Environment for ControlEnvironment {
         let image = self.picture()?;
         self.steps = 0;
         self.phase = Phase::Running;
-        Ok(Transition {
-            image,
-            reward: 0.0,
-            discount: 1.0,
-            is_last: false,
-            is_terminal: false,
-            interaction: false,
-            end_reason: None,
-        })
+        Ok(Transition::first(image))
     }
 
     fn step(&mut self, action: &[f32]) -> Result<Transition, EnvError> {

@@ -105,15 +105,7 @@ impl Environment for Highway {
         let world = self.world.insert(world);
         self.steps = 0;
         self.is_over = false;
-        Ok(Transition {
-            image: self.renderer.render(world),
-            reward: 0.0,
-            discount: 1.0,
-            is_last: false,
-            is_terminal: false,
-            interaction: false,
-            end_reason: None,
-        })
+        Ok(Transition::first(self.renderer.render(world)))
     }
 
     fn step(&mut self, action: &[f32]) -> Result<Transition, EnvError> {
