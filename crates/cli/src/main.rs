@@ -83,7 +83,7 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         Command::Eval(args) => eval::run(&args),
         Command::Imagine(args) => imagine::run(&args),
         Command::Report(args) => report::run(&args),
-        Command::Env(command) => env::run(&command),
+        Command::Env(command) => env::run(&command, &runtime),
         Command::Bench(command) => bench::run(&command),
     };
     finish(result.map(|()| ExitCode::SUCCESS), runtime)

@@ -1,6 +1,4 @@
-//! Our client drives dm_control in Python, from PyPI, over the protocol.
-//!
-//! `cargo test -p isodream-rpc --test dm_control -- --ignored`
+//! Our client drives dm_control in Python over the protocol; both come from PyPI the first time.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
@@ -82,7 +80,6 @@ impl Drop for Server {
 }
 
 #[test]
-#[ignore = "installs dm_control from PyPI"]
 fn dm_control_in_python_is_driven_and_its_death_is_noticed() {
     let python = python();
     let mut server = Server::start(&python, "0");

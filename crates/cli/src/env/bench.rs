@@ -8,10 +8,10 @@ use anyhow::ensure;
 use clap::Args;
 #[cfg(feature = "mujoco")]
 use isodream_envs::dmc::parity::Peer;
-use isodream_envs::{RandomDriver, ScriptedDriver, ids, make};
+use isodream_envs::{RandomDriver, ScriptedDriver, ids};
 use serde::Serialize;
 
-use super::env_config;
+use super::{env_config, open};
 use crate::output::print_result;
 
 /// Simulator steps between two pictures where pictures are not to count.
@@ -93,7 +93,7 @@ fn rate(id: &str, repeat: u32, args: &BenchArgs) -> anyhow::Result<f64> {
     let mut config = env_config(id, &args.set)?;
     config.action_repeat = repeat;
     config.time_limit = u32::MAX;
-    let mut env = make(&config)?;
+    let mut env = open(&config)?;
     let mut seed = 0;
     env.reset(seed)?;
     // Random driving soon leaves the road, and resets would be measured.
@@ -107,7 +107,8 @@ fn rate(id: &str, repeat: u32, args: &BenchArgs) -> anyhow::Result<f64> {
         let begun = Instant::now();
         let is_last = env.step(&action)?.is_last;
         seconds += begun.elapsed().as_secs_f64();
-        steps += u64::from(repeat);
+        // A remote one has its own.
+        steps += u64::from(env.spec().action_repeat);
         if is_last {
             seed += 1;
             env.reset(seed)?;

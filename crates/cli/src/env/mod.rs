@@ -3,12 +3,16 @@
 mod bench;
 mod list;
 mod play;
+mod serve;
 #[cfg(feature = "mujoco")]
 mod verify;
 
 use clap::Subcommand;
 use isodream_core::Config;
 use isodream_core::config::{EnvConfig, Source};
+use isodream_envs::Environment;
+use isodream_rpc::{RemoteEnvironment, RemoteOptions};
+use tokio::runtime::Runtime;
 
 /// What to do with environments.
 #[derive(Debug, Subcommand)]
@@ -17,6 +21,8 @@ pub(crate) enum EnvCommand {
     List(list::ListArgs),
     /// Watch an episode: a video, an animation or a contact sheet
     Play(play::PlayArgs),
+    /// Let another process drive environments, over gRPC
+    Serve(serve::ServeArgs),
     /// Frames and simulator steps per second
     Bench(bench::BenchArgs),
     /// DeepMind Control against dm_control, and whether traffic keeps clear of itself
@@ -25,10 +31,11 @@ pub(crate) enum EnvCommand {
 }
 
 /// Runs the command.
-pub(crate) fn run(command: &EnvCommand) -> anyhow::Result<()> {
+pub(crate) fn run(command: &EnvCommand, runtime: &Runtime) -> anyhow::Result<()> {
     match command {
         EnvCommand::List(args) => list::run(args),
         EnvCommand::Play(args) => play::run(args),
+        EnvCommand::Serve(args) => runtime.block_on(serve::run(args)),
         EnvCommand::Bench(args) => bench::run(args),
         #[cfg(feature = "mujoco")]
         EnvCommand::Verify(args) => verify::run(args),
@@ -50,4 +57,18 @@ fn env_config(id: &str, set: &[String]) -> anyhow::Result<EnvConfig> {
         set: all,
     })?;
     Ok(config.env)
+}
+
+/// How the ids of environments in other processes begin.
+const REMOTE: &str = "grpc://";
+
+/// The environment of `config`, in this process or, for an id `grpc://host:port`, in another one.
+fn open(config: &EnvConfig) -> anyhow::Result<Box<dyn Environment>> {
+    match config.id.strip_prefix(REMOTE) {
+        Some(address) => {
+            let remote = RemoteEnvironment::connect(address, RemoteOptions::default())?;
+            Ok(Box::new(remote))
+        }
+        None => Ok(isodream_envs::make(config)?),
+    }
 }

@@ -1,17 +1,18 @@
 //! `isodream env play`: an episode to look at.
 
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use clap::Args;
 use isodream_actor::AgentPolicy;
 use isodream_actor::rollout::{Outcome, Pilot, episode};
-use isodream_envs::{Environment, ScriptedDriver, make};
+use isodream_envs::{Environment, ScriptedDriver};
 use isodream_learner::checkpoint::Checkpoint;
 use isodream_model::Actions;
 use isodream_telemetry::{Rgb, write_gif, write_mp4};
 
-use super::env_config;
+use super::{env_config, open};
 use crate::output::print;
 
 /// Columns of a contact sheet.
@@ -55,7 +56,6 @@ pub(super) fn run(args: &PlayArgs) -> anyhow::Result<()> {
     let kind = Kind::of(&args.out)?;
     let mut config = env_config(&args.id, &args.set)?;
     config.image_size = args.size;
-    config.time_limit = args.steps.unwrap_or(config.time_limit);
     let checkpoint = match (&*args.policy, &args.checkpoint) {
         ("checkpoint", Some(path)) => Some(Checkpoint::find(path)?),
         _ => None,
@@ -63,18 +63,18 @@ pub(super) fn run(args: &PlayArgs) -> anyhow::Result<()> {
     if let Some(checkpoint) = &checkpoint {
         config.image_size = checkpoint.config.env.image_size;
     }
-    let mut env = make(&config)?;
+    let mut env = open(&config)?;
     let (outcome, frames) = match &checkpoint {
         Some(checkpoint) => {
             let mut agent = AgentPolicy::new(&checkpoint.config, env.spec(), 1, &checkpoint.model)
                 .with_context(|| format!("the checkpoint cannot act in {}", args.id))?;
             let mut pilot = Pilot::Agent(&mut agent, Actions::Mode);
-            watch(env.as_mut(), &mut pilot, args.seed)?
+            watch(env.as_mut(), &mut pilot, args)?
         }
         None => {
             let mut driver = args.policy.parse::<ScriptedDriver>()?.driver(args.seed);
             let mut pilot = Pilot::Driver(driver.as_mut());
-            watch(env.as_mut(), &mut pilot, args.seed)?
+            watch(env.as_mut(), &mut pilot, args)?
         }
     };
     let frames: Vec<Rgb> = frames
@@ -124,14 +124,20 @@ impl Kind {
 fn watch(
     env: &mut dyn Environment,
     pilot: &mut Pilot<'_>,
-    seed: u64,
+    args: &PlayArgs,
 ) -> anyhow::Result<(Outcome, Vec<Rgb>)> {
     let shape = env.spec().image;
-    let mut frames = Vec::new();
-    let outcome = episode(env, pilot, seed, &|| true, &mut |step, _| {
-        frames.push(Rgb::new(shape.width, shape.height, step.image.clone()));
+    let frames = RefCell::new(Vec::new());
+    // The first picture is that of the reset.
+    let go_on = || {
+        let steps = frames.borrow().len().saturating_sub(1);
+        args.steps.is_none_or(|limit| steps < limit as usize)
+    };
+    let outcome = episode(env, pilot, args.seed, &go_on, &mut |step, _| {
+        let picture = Rgb::new(shape.width, shape.height, step.image.clone());
+        frames.borrow_mut().push(picture);
     })?;
-    Ok((outcome, frames))
+    Ok((outcome, frames.into_inner()))
 }
 
 /// Pictures evenly spread over the episode, the first and the last among them.
