@@ -7,7 +7,7 @@ use super::physics::Physics;
 use crate::raycast::{Assets, CubeTexture, Mesh, Surface, Texture, Triangle, Vec3};
 
 /// What is painted green, so that a video can be put in its place: what DMC-GB's backgrounds do.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Recolour {
     /// Nothing.
     #[default]

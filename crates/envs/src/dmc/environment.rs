@@ -3,7 +3,7 @@
 use isodream_core::EnvSpec;
 use isodream_core::config::RepeatReward;
 
-use super::{ControlTask, Recolour, SceneRenderer};
+use super::{ControlTask, SceneRenderer};
 use crate::backgrounds::BackgroundPlayer;
 use crate::environment::{EndReason, PrivilegedView, class};
 use crate::raycast::Class;
@@ -35,11 +35,11 @@ impl ControlEnvironment {
         spec: EnvSpec,
         repeat_reward: RepeatReward,
         task: ControlTask,
-        recolour: Recolour,
+        renderer: SceneRenderer,
         player: Option<BackgroundPlayer>,
-    ) -> Result<Self, EnvError> {
-        Ok(Self {
-            renderer: SceneRenderer::new(&task, (spec.image.height, spec.image.width), recolour)?,
+    ) -> Self {
+        Self {
+            renderer,
             spec,
             repeat_reward,
             task,
@@ -47,7 +47,7 @@ impl ControlEnvironment {
             replaced: Vec::new(),
             steps: 0,
             phase: Phase::Made,
-        })
+        }
     }
 
     fn picture(&mut self) -> Result<Vec<u8>, EnvError> {

@@ -1,14 +1,17 @@
 //! The ids of the Control Suite.
 
+use std::collections::HashMap;
 use std::path::PathBuf;
+use std::sync::{Arc, LazyLock, Mutex, PoisonError, Weak};
 
 use isodream_core::EnvSpec;
 use isodream_core::config::{BackgroundOrder, EnvConfig};
 
 use super::environment::ControlEnvironment;
-use super::{ControlTask, Recolour};
+use super::{ControlTask, Recolour, SceneRenderer};
 use crate::backgrounds::{BackgroundPlayer, BackgroundSource, Backgrounds, VideoOrder, VideoSet};
 use crate::id::EnvId;
+use crate::raycast::Assets;
 use crate::registry::Family;
 use crate::{EnvError, Environment};
 
@@ -49,8 +52,27 @@ fn make(
         None => None,
     };
     let recolour = variant.map_or(Recolour::None, |(recolour, _)| recolour);
-    let environment = ControlEnvironment::new(spec, config.repeat_reward, task, recolour, player)?;
+    let size = (spec.image.height, spec.image.width);
+    let renderer = SceneRenderer::with_assets(&task, size, shared_assets(&task, recolour)?);
+    let repeat = config.repeat_reward;
+    let environment = ControlEnvironment::new(spec, repeat, task, renderer, player);
     Ok(Box::new(environment))
+}
+
+type Shared = Mutex<HashMap<(&'static str, Recolour), Weak<Assets>>>;
+
+/// Textures and meshes of a task, made once per process for as long as anybody uses them.
+fn shared_assets(task: &ControlTask, recolour: Recolour) -> Result<Arc<Assets>, EnvError> {
+    static SHARED: LazyLock<Shared> = LazyLock::new(Mutex::default);
+    let mut shared = SHARED.lock().unwrap_or_else(PoisonError::into_inner);
+    let key = (task.id(), recolour);
+    if let Some(assets) = shared.get(&key).and_then(Weak::upgrade) {
+        return Ok(assets);
+    }
+    let assets = SceneRenderer::assets(task, recolour)?;
+    shared.retain(|_, known| known.strong_count() > 0);
+    shared.insert(key, Arc::downgrade(&assets));
+    Ok(assets)
 }
 
 fn player(set: VideoSet, config: &EnvConfig) -> Result<BackgroundPlayer, EnvError> {
@@ -68,4 +90,29 @@ fn player(set: VideoSet, config: &EnvConfig) -> Result<BackgroundPlayer, EnvErro
         Backgrounds::shared(&source, size, size)?,
         order,
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn environments_of_a_task_share_its_textures() {
+        let load = |id| ControlTask::load(id).unwrap();
+        let (first, second) = (load("point_mass_easy"), load("point_mass_easy"));
+        let plain = shared_assets(&first, Recolour::None).unwrap();
+        assert!(Arc::ptr_eq(
+            &plain,
+            &shared_assets(&second, Recolour::None).unwrap()
+        ));
+        assert!(!Arc::ptr_eq(
+            &plain,
+            &shared_assets(&first, Recolour::Skybox).unwrap()
+        ));
+        let other = shared_assets(&load("reacher_easy"), Recolour::None).unwrap();
+        assert!(!Arc::ptr_eq(&plain, &other));
+        let weak = Arc::downgrade(&plain);
+        drop(plain);
+        assert!(weak.upgrade().is_none(), "kept though nobody uses them");
+    }
 }
