@@ -1,4 +1,4 @@
-"""Serves dm_control's walker walk as an isodream EnvironmentService, one client at a time.
+"""Serves dm_control's walker walk as an isodream EnvironmentService: as many walkers as clients ask for.
 
     serve_dm_control.py PROTO_FOLDER [SECONDS_PER_STEP]
 
@@ -23,6 +23,7 @@ from dm_control import suite
 SIZE = 64
 ACTION_REPEAT = 2
 TIME_LIMIT = 500
+ACTION_DIM = 6
 PROTOCOL_VERSION = 1
 
 
@@ -49,7 +50,6 @@ class Walker:
 
     def __init__(self):
         self.env = suite.load("walker", "walk", task_kwargs={"random": 0})
-        self.action_dim = self.env.action_spec().shape[0]
         self.steps = 0
 
     def reset(self, seed: int):
@@ -95,20 +95,22 @@ class Service(pb_grpc.EnvironmentServiceServicer):
         if hello.protocol_version != PROTOCOL_VERSION:
             words = f"protocol version {hello.protocol_version} does not match {PROTOCOL_VERSION}"
             context.abort(grpc.StatusCode.FAILED_PRECONDITION, words)
-        walker = Walker()
+        walkers = [Walker() for _ in range(hello.environments)]
         spec = pb.EnvironmentSpec(
             id="python/walker_walk",
             height=SIZE,
             width=SIZE,
             channels=3,
-            action_dim=walker.action_dim,
+            action_dim=ACTION_DIM,
             action_repeat=ACTION_REPEAT,
             time_limit=TIME_LIMIT,
         )
-        welcome = pb.EnvironmentWelcome(protocol_version=PROTOCOL_VERSION, spec=spec, environments=1)
+        welcome = pb.EnvironmentWelcome(
+            protocol_version=PROTOCOL_VERSION, spec=spec, environments=len(walkers)
+        )
         yield pb.EnvironmentReply(welcome=welcome)
         for request in requests:
-            results = [self.obey(walker, command) for command in request.batch.commands]
+            results = [self.obey(walkers[command.environment], command) for command in request.batch.commands]
             answer = pb.EnvironmentResults(number=request.batch.number, results=results)
             yield pb.EnvironmentReply(results=answer)
 
@@ -123,7 +125,7 @@ class Service(pb_grpc.EnvironmentServiceServicer):
             return pb.EnvironmentResult(environment=command.environment, error=repr(error))
 
 
-server = grpc.server(concurrent.futures.ThreadPoolExecutor(max_workers=2))
+server = grpc.server(concurrent.futures.ThreadPoolExecutor(max_workers=8))
 pb_grpc.add_EnvironmentServiceServicer_to_server(Service(), server)
 port = server.add_insecure_port("127.0.0.1:0")
 server.start()

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::{Result, ensure};
 use isodream_learner::checkpoint::Checkpoint;
-use isodream_tests::{Running, free_address, isodream, until};
+use isodream_tests::{Running, free_address, isodream, replay_status, until};
 use serde_json::Value;
 
 /// What `isodream` with `args` prints; its failure is an error with its own words.
@@ -47,7 +47,7 @@ fn environments_are_listed_played_and_measured() -> Result<()> {
     let args = ["env", "bench", "highway/day", "--seconds", "0.05", "--json"];
     let rates: Value = serde_json::from_str(&printed(&args)?)?;
     ensure!(rates[0]["id"] == "highway/day" && rates[0]["peer_frames_per_s"].is_null());
-    for field in ["frames_per_s", "steps_per_s"] {
+    for field in ["frames_per_s", "steps_per_s", "vector_speedup"] {
         ensure!(rates[0][field].as_f64() > Some(0.0), "{rates}");
     }
     Ok(())
@@ -126,5 +126,75 @@ fn control_is_trained_on() -> Result<()> {
         "nobody can drive a cup: {said}"
     );
     ensure!(Checkpoint::find(run_dir.as_ref())?.counters.updates > 0);
+    Ok(())
+}
+
+#[test]
+fn training_goes_on_when_the_environments_process_dies_and_comes_back() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let (address, replay) = (free_address()?, free_address()?);
+    // Two collectors and the evaluator take all three.
+    let serve = [
+        "env",
+        "serve",
+        "highway/day",
+        "--environments",
+        "3",
+        "--set",
+        "env.vehicles=5",
+        "--listen",
+        &address,
+    ];
+    let served = Running::start(&serve)?;
+    let remote = format!("env.id=grpc://{address}");
+    let run_dir = folder.path().join("run").display().to_string();
+    let train = [
+        "train",
+        "--preset",
+        "debug",
+        "--run-dir",
+        &run_dir,
+        "--eval-episodes",
+        "1",
+        "--replay-listen",
+        &replay,
+        "--set",
+        &remote,
+        "--set",
+        "learner.env_frames=2400",
+    ];
+    until("it serves", Duration::from_secs(30), || {
+        let args = [
+            "env",
+            "bench",
+            &format!("grpc://{address}"),
+            "--seconds",
+            "0.01",
+        ];
+        Ok(isodream(&args)?.status.success().then_some(()))
+    })?;
+    let mut training = Running::start(&train)?;
+    let inserted = |steps: u64| {
+        until("steps arrive", Duration::from_secs(120), || {
+            let status = replay_status(&replay)?;
+            Ok(status
+                .map(|status| status.inserted_steps)
+                .filter(|&inserted| inserted >= steps))
+        })
+    };
+    let before = inserted(60)?;
+    served.kill()?;
+    std::thread::sleep(Duration::from_secs(1));
+    let _served = Running::start(&serve)?;
+    inserted(before + 100)?;
+    let status = training.wait(Duration::from_secs(300))?;
+    ensure!(status.success(), "{status}");
+    ensure!(Checkpoint::find(run_dir.as_ref())?.counters.updates > 0);
+    let log = fs::read_to_string(folder.path().join("run/logs/actor-0.log"))?;
+    ensure!(log.contains("a new episode begins"), "{log}");
+    ensure!(
+        log.matches("acting by the learner's policy").count() == 1,
+        "the actor was started anew: {log}"
+    );
     Ok(())
 }

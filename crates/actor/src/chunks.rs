@@ -60,6 +60,14 @@ impl ChunkBuilder {
         if self.pending.len < self.chunk_steps && !step.is_last {
             return None;
         }
+        self.cut(step.is_last)
+    }
+
+    /// The pending steps as a chunk, if there are any.
+    pub(crate) fn cut(&mut self, ends_episode: bool) -> Option<Chunk> {
+        if self.pending.len == 0 {
+            return None;
+        }
         let empty = Steps::new(self.pending.image_bytes, self.pending.action_dim);
         let steps = std::mem::replace(&mut self.pending, empty);
         let first_step = self.first_step;
@@ -72,7 +80,7 @@ impl ChunkBuilder {
             episode_id: self.episode_id,
             first_step,
             steps: steps.len as u32,
-            ends_episode: step.is_last,
+            ends_episode,
             payload: codec::encode(&steps),
         })
     }
@@ -92,6 +100,24 @@ mod tests {
             is_last: index == last,
             is_terminal: false,
         }
+    }
+
+    #[test]
+    fn an_episode_that_is_cut_keeps_its_steps_and_the_next_begins_anew() {
+        let mut builder = ChunkBuilder::new("a", 1, 0, 4, 12, 1);
+        assert_eq!(builder.cut(false), None);
+        let full: Vec<_> = (0..6).filter_map(|i| builder.push(&step(i, 9))).collect();
+        let rest = builder.cut(false).expect("two steps were pending");
+        assert_eq!(full.len(), 1);
+        assert_eq!(
+            (rest.first_step, rest.steps, rest.ends_episode),
+            (4, 2, false)
+        );
+        assert_eq!(rest.episode_id, full[0].episode_id);
+        assert_eq!(builder.push(&step(0, 9)), None);
+        let next = builder.cut(false).expect("one step is pending");
+        assert_eq!((next.first_step, next.steps), (0, 1));
+        assert_ne!(next.episode_id, rest.episode_id);
     }
 
     #[test]

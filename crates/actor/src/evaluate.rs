@@ -6,12 +6,14 @@ use anyhow::Context;
 use isodream_core::derive_seed;
 use isodream_model::Actions;
 use isodream_proto::v1;
-use isodream_rpc::learner_client;
+use isodream_rpc::{learner_client, open_environment};
 use tokio::runtime::Handle;
 use tokio_util::sync::CancellationToken;
 
+use crate::failures::Failures;
 use crate::learner_link::LearnerLink;
-use crate::rollout::{Outcome, Pilot, episode};
+use crate::report::report;
+use crate::rollout::{Pilot, episode};
 use crate::{ActorOptions, AgentPolicy};
 
 /// How often the learner is asked whether an evaluation is due.
@@ -25,9 +27,12 @@ pub fn evaluation_seed(root: u64, index: u64) -> u64 {
 /// Evaluates the newest policy every `evaluate_interval_frames` until `shutdown`.
 ///
 /// # Errors
-/// Where the environment fails, or the learner refuses this actor.
+/// Where the environment fails again and again, or the learner refuses this actor.
 pub async fn run(options: ActorOptions, shutdown: CancellationToken) -> anyhow::Result<()> {
-    let mut env = isodream_envs::make(&options.config.env)?;
+    let opening = options.config.env.clone();
+    let mut env = tokio::task::spawn_blocking(move || open_environment(&opening))
+        .await
+        .context("the task that opens the environment failed")??;
     let spec = env.spec().clone();
     let link = LearnerLink::start(
         &options.learner,
@@ -41,6 +46,7 @@ pub async fn run(options: ActorOptions, shutdown: CancellationToken) -> anyhow::
         tch::set_num_threads(config.actor.threads);
         tch::manual_seed(derive_seed(config.seed, &["noise", &options.actor_id]) as i64);
         let mut agent: Option<AgentPolicy> = None;
+        let mut failures = Failures::default();
         let mut due_frames = 0;
         while !shutdown.is_cancelled() {
             let mut client = client.clone();
@@ -63,7 +69,15 @@ pub async fn run(options: ActorOptions, shutdown: CancellationToken) -> anyhow::
                 let mut pilot = Pilot::Agent(agent, Actions::Mode);
                 let seed = evaluation_seed(config.seed, index);
                 let go_on = || !shutdown.is_cancelled();
-                let outcome = episode(env.as_mut(), &mut pilot, seed, &go_on, &mut |_, _| {})?;
+                let outcome = match episode(env.as_mut(), &mut pilot, seed, &go_on, &mut |_, _| {})
+                {
+                    Ok(outcome) => outcome,
+                    Err(error) => {
+                        failures.another(error)?;
+                        continue;
+                    }
+                };
+                failures.none();
                 if outcome.end_reason.is_some() {
                     link.report(report(
                         &options.actor_id,
@@ -80,27 +94,4 @@ pub async fn run(options: ActorOptions, shutdown: CancellationToken) -> anyhow::
     tokio::task::spawn_blocking(actor)
         .await
         .context("the evaluating thread died")?
-}
-
-/// An episode in the words of the protocol.
-pub(crate) fn report(
-    actor_id: &str,
-    role: v1::ActorRole,
-    policy: Option<v1::PolicyVersion>,
-    episode_id: u64,
-    outcome: Outcome,
-) -> v1::EpisodeReport {
-    v1::EpisodeReport {
-        actor_id: actor_id.to_owned(),
-        role: role.into(),
-        policy,
-        episode_id,
-        score: outcome.score,
-        length: outcome.length,
-        end_reason: outcome
-            .end_reason
-            .map(|reason| reason.as_str().to_owned())
-            .unwrap_or_default(),
-        metrics: outcome.metrics.into_iter().collect(),
-    }
 }

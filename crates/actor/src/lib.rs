@@ -10,8 +10,12 @@
 mod agent;
 mod chunks;
 pub mod collect;
+mod collector;
 pub mod evaluate;
+mod failures;
+mod lane;
 mod learner_link;
+mod report;
 pub mod rollout;
 
 pub use agent::AgentPolicy;

@@ -68,7 +68,7 @@ pub(crate) fn evaluate(
 ) -> anyhow::Result<Evaluation> {
     let checkpoint = Checkpoint::find(path)?;
     let config = &checkpoint.config;
-    let mut env = isodream_envs::make(&config.env)?;
+    let mut env = isodream_rpc::open_environment(&config.env)?;
     let spec = env.spec().clone();
     tch::manual_seed(derive_seed(config.seed, &["eval", "noise"]) as i64);
     let mut agent = AgentPolicy::new(config, &spec, 1, &checkpoint.model)

@@ -72,7 +72,7 @@ struct Report {
 pub(crate) fn run(args: &ImagineArgs) -> anyhow::Result<()> {
     let checkpoint = Checkpoint::find(&args.checkpoint)?;
     let config = &checkpoint.config;
-    let mut env = isodream_envs::make(&config.env)?;
+    let mut env = isodream_rpc::open_environment(&config.env)?;
     let spec = env.spec().clone();
     tch::manual_seed(derive_seed(config.seed, &["imagine", "noise"]) as i64);
     let mut driver = AgentPolicy::new(config, &spec, 1, &checkpoint.model)?;

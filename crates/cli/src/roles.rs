@@ -10,7 +10,7 @@ use isodream_core::Config;
 use isodream_learner::{Finished, LearnerOptions};
 use isodream_replay::{LimiterOptions, StoreOptions};
 use isodream_replay_server::ServerOptions;
-use isodream_rpc::shutdown_on_signal;
+use isodream_rpc::{ENVIRONMENT_PATIENCE, environment_spec, shutdown_on_signal};
 use tokio_util::sync::CancellationToken;
 
 use crate::config_args::ConfigArgs;
@@ -163,7 +163,9 @@ pub(crate) async fn learner(args: LearnerArgs) -> anyhow::Result<ExitCode> {
     let config = args.role.config.load()?;
     let shutdown = args.role.shutdown()?;
     let supervised = args.role.supervised;
-    let spec = isodream_envs::spec(&config.env)?;
+    let env = config.env.clone();
+    let spec =
+        tokio::task::spawn_blocking(move || environment_spec(&env, ENVIRONMENT_PATIENCE)).await??;
     let options = LearnerOptions {
         config,
         spec,

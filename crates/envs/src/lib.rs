@@ -24,6 +24,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::print_stdout))]
 
 mod backgrounds;
+mod conform;
 #[cfg(feature = "mujoco")]
 pub mod dmc;
 mod driver;
@@ -45,6 +46,7 @@ mod wrappers;
 pub use backgrounds::{
     BackgroundPlayer, BackgroundSource, Backgrounds, VideoOrder, VideoSet, compose, is_background,
 };
+pub use conform::{conform, conformed_spec};
 pub use driver::{
     CutInDriver, Driver, KeepLaneDriver, OvertakeDriver, RandomDriver, RecklessDriver,
     ScriptedDriver, StandStillDriver,

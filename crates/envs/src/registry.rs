@@ -7,7 +7,7 @@ use isodream_core::{EnvSpec, ImageShape};
 
 use crate::highway::family::HIGHWAY;
 use crate::id::{EnvId, unknown};
-use crate::{EnvError, Environment, GaussianNoise, Noisy};
+use crate::{EnvError, Environment, GaussianNoise, Guard, Noisy};
 
 type Make = fn(EnvId<'_>, &EnvConfig, EnvSpec) -> Result<Box<dyn Environment>, EnvError>;
 
@@ -44,13 +44,21 @@ pub fn ids() -> &'static [&'static str] {
     &NAMES
 }
 
-/// Makes the environment that `config` describes.
+/// Makes the environment that `config` describes. Its rows are checked ([`Guard`]).
 ///
 /// # Errors
 /// If the id is unknown (its nearest known ids are named) or a value is out of range.
 pub fn make(config: &EnvConfig) -> Result<Box<dyn Environment>, EnvError> {
     let (family, id) = find(&config.id)?;
     let env = (family.make)(id, config, spec(config)?)?;
+    Ok(Box::new(Guard::new(with_noise(env, config)?)))
+}
+
+/// `env` behind the noise that `config` asks for.
+pub(crate) fn with_noise(
+    env: Box<dyn Environment>,
+    config: &EnvConfig,
+) -> Result<Box<dyn Environment>, EnvError> {
     if config.noise_std == 0.0 {
         return Ok(env);
     }

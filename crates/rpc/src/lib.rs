@@ -5,7 +5,8 @@
 //! - [`ServiceError`]: the one mapping between errors and gRPC status; [`is_refusal`] reads it back
 //! - [`shutdown_on_signal`], [`reconnect_delays`]
 //! - [`AppendClient`], [`SampleClient`]: the two ends of experience, which reconnect by themselves
-//! - [`EnvironmentServer`], [`RemoteEnvironment`]: environments for other processes, and in them
+//! - [`open_environments`]: environments as a configuration names them, here or in other processes
+//!   ([`EnvironmentServer`], [`RemoteEnvironment`])
 
 mod append_client;
 mod append_link;
@@ -24,7 +25,10 @@ mod spool;
 pub use append_client::{AppendClient, AppendOptions};
 pub use backoff::{reconnect_delays, retry};
 pub use channel::{channel, learner_client, replay_client};
-pub use environment::{EnvironmentServer, RemoteEnvironment, RemoteOptions};
+pub use environment::{
+    ENVIRONMENT_PATIENCE, EnvironmentServer, RemoteEnvironment, RemoteOptions, environment_spec,
+    open_environment, open_environments, remote_address,
+};
 pub use error::{RpcError, ServiceError, is_refusal};
 pub use sample_client::{SampleClient, SampleOptions, SampledSequence};
 pub use server::{bind, serve, server, serving};

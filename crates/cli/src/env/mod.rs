@@ -11,7 +11,7 @@ use clap::Subcommand;
 use isodream_core::Config;
 use isodream_core::config::{EnvConfig, Source};
 use isodream_envs::Environment;
-use isodream_rpc::{RemoteEnvironment, RemoteOptions};
+use isodream_rpc::{RemoteEnvironment, RemoteOptions, remote_address};
 use tokio::runtime::Runtime;
 
 /// What to do with environments.
@@ -59,12 +59,10 @@ fn env_config(id: &str, set: &[String]) -> anyhow::Result<EnvConfig> {
     Ok(config.env)
 }
 
-/// How the ids of environments in other processes begin.
-const REMOTE: &str = "grpc://";
-
-/// The environment of `config`, in this process or, for an id `grpc://host:port`, in another one.
+/// The environment of `config`, in this process or, for an id `grpc://host:port`, in another one, and then as it
+/// is there.
 fn open(config: &EnvConfig) -> anyhow::Result<Box<dyn Environment>> {
-    match config.id.strip_prefix(REMOTE) {
+    match remote_address(&config.id) {
         Some(address) => {
             let remote = RemoteEnvironment::connect(address, RemoteOptions::default())?;
             Ok(Box::new(remote))

@@ -7,7 +7,7 @@ use anyhow::{Context, bail};
 use clap::Args;
 use isodream_actor::AgentPolicy;
 use isodream_actor::rollout::{Outcome, Pilot, episode};
-use isodream_envs::{Environment, ScriptedDriver};
+use isodream_envs::{Environment, ScriptedDriver, Statistics};
 use isodream_learner::checkpoint::Checkpoint;
 use isodream_model::Actions;
 use isodream_telemetry::{Rgb, write_gif, write_mp4};
@@ -63,18 +63,18 @@ pub(super) fn run(args: &PlayArgs) -> anyhow::Result<()> {
     if let Some(checkpoint) = &checkpoint {
         config.image_size = checkpoint.config.env.image_size;
     }
-    let mut env = open(&config)?;
+    let mut env = Statistics::new(open(&config)?);
     let (outcome, frames) = match &checkpoint {
         Some(checkpoint) => {
             let mut agent = AgentPolicy::new(&checkpoint.config, env.spec(), 1, &checkpoint.model)
                 .with_context(|| format!("the checkpoint cannot act in {}", args.id))?;
             let mut pilot = Pilot::Agent(&mut agent, Actions::Mode);
-            watch(env.as_mut(), &mut pilot, args)?
+            watch(&mut env, &mut pilot, args)?
         }
         None => {
             let mut driver = args.policy.parse::<ScriptedDriver>()?.driver(args.seed);
             let mut pilot = Pilot::Driver(driver.as_mut());
-            watch(env.as_mut(), &mut pilot, args)?
+            watch(&mut env, &mut pilot, args)?
         }
     };
     let frames: Vec<Rgb> = frames
@@ -97,6 +97,11 @@ pub(super) fn run(args: &PlayArgs) -> anyhow::Result<()> {
         outcome.length,
         args.out.display()
     ));
+    let metrics = outcome.metrics.iter();
+    let metrics: Vec<_> = metrics
+        .map(|(name, value)| format!("{name} {value:.2}"))
+        .collect();
+    print(&metrics.join(", "));
     Ok(())
 }
 

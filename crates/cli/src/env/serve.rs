@@ -20,7 +20,8 @@ pub(crate) struct ServeArgs {
     /// Where to listen; port 0 picks a free one
     #[arg(long, default_value = "127.0.0.1:0")]
     listen: SocketAddr,
-    /// How many environments, for one client at a time
+    /// How many environments; clients take as many as they ask for. Training takes those of all its actors and
+    /// one for evaluation: actor.collectors x actor.environments + 1
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
     environments: u16,
     /// A setting of the environments, for example env.vehicles=10; may be repeated

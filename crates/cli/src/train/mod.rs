@@ -12,7 +12,9 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, ensure};
 use clap::Args;
 use isodream_core::Config;
-use isodream_rpc::shutdown_on_signal;
+use isodream_core::config::EnvConfig;
+use isodream_envs::{EnvError, make};
+use isodream_rpc::{environment_spec, remote_address, shutdown_on_signal};
 
 use crate::config_args::ConfigArgs;
 use crate::eval::evaluate;
@@ -49,7 +51,7 @@ pub(crate) struct TrainArgs {
 pub(crate) async fn run(args: TrainArgs) -> anyhow::Result<()> {
     let config = resolve(&args.config, &args.run_dir)?;
     // Everything that can be wrong is told before the run directory is touched.
-    isodream_envs::make(&config.env)?;
+    tokio::task::block_in_place(|| check_environment(&config.env))?;
     ensure!(
         config.actor.collectors > 0,
         "actor.collectors: must be greater than 0, or nobody collects experience"
@@ -175,6 +177,14 @@ fn resolve(asked: &ConfigArgs, run_dir: &Path) -> anyhow::Result<Config> {
         run_dir.display()
     );
     Ok(new)
+}
+
+/// Makes one environment, or asks another process what it has.
+fn check_environment(config: &EnvConfig) -> Result<(), EnvError> {
+    match remote_address(&config.id) {
+        Some(_) => environment_spec(config, Duration::ZERO).map(drop),
+        None => make(config).map(drop),
+    }
 }
 
 /// The addresses with port 0 replaced by free ports, which restarted roles can then come back to.

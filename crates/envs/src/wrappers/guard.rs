@@ -70,8 +70,9 @@ impl Environment for Guard {
     }
 
     fn step(&mut self, action: &[f32]) -> Result<Transition, EnvError> {
-        let step = self.step.take().ok_or(EnvError::NotReset)?;
+        let step = self.step.ok_or(EnvError::NotReset)?;
         let row = self.env.step(action)?;
+        self.step = None;
         self.checked(step + 1, row)
     }
 

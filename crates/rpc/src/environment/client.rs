@@ -57,25 +57,37 @@ struct Peer {
 }
 
 impl RemoteEnvironment {
-    /// The first environment of the process at `address` (`host:port`).
+    /// An environment of the process at `address` (`host:port`). No other client may drive it.
     ///
     /// # Errors
-    /// [`EnvError::Remote`], as [`connect_all`](Self::connect_all).
+    /// [`EnvError::Remote`], as [`connect_many`](Self::connect_many).
     pub fn connect(address: &str, options: RemoteOptions) -> Result<Self, EnvError> {
-        let peer = Arc::new(Peer::connect(address, options)?);
-        Ok(Self::new(peer, 0))
+        Ok(Self::new(Arc::new(Peer::connect(address, 1, options)?), 0))
     }
 
-    /// All environments of the process at `address` (`host:port`), over one connection. They may be stepped
+    /// `count` environments of the process at `address` (`host:port`), over one connection. They may be stepped
     /// from different threads, for example in an `isodream_envs::VectorEnvironment`: commands overlap.
     ///
     /// # Errors
-    /// [`EnvError::Remote`] if nobody answers in time, if the versions of the protocol differ, or if what is
-    /// offered makes no sense.
-    pub fn connect_all(address: &str, options: RemoteOptions) -> Result<Vec<Self>, EnvError> {
-        let peer = Arc::new(Peer::connect(address, options)?);
-        let all = 0..peer.environments;
-        Ok(all.map(|index| Self::new(peer.clone(), index)).collect())
+    /// [`EnvError::Remote`] if nobody answers in time, if the versions of the protocol differ, if fewer are free
+    /// ([`RemoteFault::Lost`]: they may be later), or if what is offered makes no sense.
+    pub fn connect_many(
+        address: &str,
+        count: u32,
+        options: RemoteOptions,
+    ) -> Result<Vec<Self>, EnvError> {
+        let peer = Arc::new(Peer::connect(address, count, options)?);
+        Ok((0..count)
+            .map(|index| Self::new(peer.clone(), index))
+            .collect())
+    }
+
+    /// What the process at `address` (`host:port`) offers, without driving it.
+    ///
+    /// # Errors
+    /// As [`connect_many`](Self::connect_many).
+    pub fn offered(address: &str, options: RemoteOptions) -> Result<EnvSpec, EnvError> {
+        Ok(Peer::connect(address, 0, options)?.spec)
     }
 
     fn new(peer: Arc<Peer>, index: u32) -> Self {
@@ -159,14 +171,14 @@ impl Environment for RemoteEnvironment {
 }
 
 impl Peer {
-    fn connect(address: &str, options: RemoteOptions) -> Result<Self, EnvError> {
-        let link = Link::open(address, options.segmentation, options.deadline);
+    fn connect(address: &str, environments: u32, options: RemoteOptions) -> Result<Self, EnvError> {
+        let link = Link::open(address, environments, options);
         let link = link.map_err(|fault| remote(address, fault))?;
         Ok(Self {
             address: address.to_owned(),
             options,
             spec: link.spec.clone(),
-            environments: link.environments,
+            environments,
             link: Mutex::new(Arc::new(link)),
         })
     }
@@ -178,11 +190,8 @@ impl Peer {
             // Ours may be what keeps a new stream out, if its deadline passed.
             link.close();
             let opened = self.reopen().map_err(|fault| self.fault(fault))?;
-            if (&opened.spec, opened.environments) != (&self.spec, self.environments) {
-                let reason = format!(
-                    "it now offers {} x {}, it was {} x {}",
-                    opened.environments, opened.spec, self.environments, self.spec
-                );
+            if opened.spec != self.spec {
+                let reason = format!("it now offers {}, it was {}", opened.spec, self.spec);
                 return Err(self.fault(RemoteFault::Refused(reason)));
             }
             *link = Arc::new(opened);
@@ -192,15 +201,15 @@ impl Peer {
 
     /// Tries until the deadline: a process that is being started again takes a while to answer.
     fn reopen(&self) -> Result<Link, RemoteFault> {
-        let RemoteOptions {
-            deadline,
-            segmentation,
-        } = self.options;
+        let deadline = self.options.deadline;
         let started = Instant::now();
         let mut delays = reconnect_delays();
         loop {
-            let left = deadline.saturating_sub(started.elapsed());
-            let fault = match Link::open(&self.address, segmentation, left) {
+            let options = RemoteOptions {
+                deadline: deadline.saturating_sub(started.elapsed()),
+                ..self.options
+            };
+            let fault = match Link::open(&self.address, self.environments, options) {
                 Err(fault @ RemoteFault::Lost(_)) => fault,
                 other => return other,
             };

@@ -22,20 +22,17 @@ use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::{CancellationToken, DropGuard};
 use tonic::{Status, Streaming};
 
+use super::RemoteOptions;
 use super::convert;
 use crate::channel::channel;
 use crate::error::words;
 use crate::is_refusal;
 use crate::limits::MAX_MESSAGE_BYTES;
 
-/// More environments than this in one process are refused.
-const MAX_ENVIRONMENTS: u32 = 4096;
-
 /// One stream, driven by a thread with a runtime of its own: environments are synchronous, and may be used
 /// inside and outside of other runtimes.
 pub(super) struct Link {
     pub(super) spec: EnvSpec,
-    pub(super) environments: u32,
     requests: mpsc::Sender<EnvironmentRequest>,
     waiting: Arc<Mutex<Waiting>>,
     deadline: Duration,
@@ -52,20 +49,25 @@ struct Waiting {
 }
 
 impl Link {
-    /// Connects and greets.
+    /// Connects, and has `environments` reserved.
     pub(super) fn open(
         address: &str,
-        segmentation: bool,
-        deadline: Duration,
+        environments: u32,
+        options: RemoteOptions,
     ) -> Result<Self, RemoteFault> {
+        let RemoteOptions {
+            deadline,
+            segmentation,
+        } = options;
         let (greeted, greeting) = sync_channel(1);
         let waiting = Arc::new(Mutex::new(Waiting::default()));
         let stop = CancellationToken::new().drop_guard();
         let stopped = stop.token().clone();
-        let (requests, outbound) = mpsc::channel(MAX_ENVIRONMENTS as usize);
+        let (requests, outbound) = mpsc::channel(environments as usize + 2);
         let hello = EnvironmentHello {
             protocol_version: PROTOCOL_VERSION,
             segmentation,
+            environments,
         };
         let _ = requests.try_send(request(Kind::Hello(hello)));
         let driver = Driver {
@@ -99,10 +101,8 @@ impl Link {
         let welcome = greeting
             .recv_timeout(deadline)
             .map_err(|_| RemoteFault::Deadline(deadline))??;
-        let (spec, environments) = accept(&welcome)?;
         Ok(Self {
-            spec,
-            environments,
+            spec: accept(&welcome, environments)?,
             requests,
             waiting,
             deadline,
@@ -250,7 +250,7 @@ fn fault(status: &Status) -> RemoteFault {
 }
 
 /// What the peer offers, if it makes sense.
-fn accept(welcome: &EnvironmentWelcome) -> Result<(EnvSpec, u32), RemoteFault> {
+fn accept(welcome: &EnvironmentWelcome, asked: u32) -> Result<EnvSpec, RemoteFault> {
     if welcome.protocol_version != PROTOCOL_VERSION {
         let mismatch = Mismatch::Protocol {
             ours: PROTOCOL_VERSION,
@@ -261,13 +261,13 @@ fn accept(welcome: &EnvironmentWelcome) -> Result<(EnvSpec, u32), RemoteFault> {
     let missing = || RemoteFault::Protocol("the welcome names no spec".to_owned());
     let spec = convert::spec(welcome.spec.as_ref().ok_or_else(missing)?)
         .map_err(|error| RemoteFault::Protocol(error.to_string()))?;
-    let environments = welcome.environments;
-    if !(1..=MAX_ENVIRONMENTS).contains(&environments) {
+    let offered = welcome.environments;
+    if offered != asked {
         return Err(RemoteFault::Protocol(format!(
-            "it offers {environments} environments, must be 1 to {MAX_ENVIRONMENTS}"
+            "it offers {offered} environments where {asked} were asked for"
         )));
     }
-    Ok((spec, environments))
+    Ok(spec)
 }
 
 fn request(kind: Kind) -> EnvironmentRequest {

@@ -7,8 +7,13 @@
 mod client;
 mod convert;
 mod link;
+mod open;
 mod server;
 mod session;
+mod stock;
 
 pub use client::{RemoteEnvironment, RemoteOptions};
+pub use open::{
+    ENVIRONMENT_PATIENCE, environment_spec, open_environment, open_environments, remote_address,
+};
 pub use server::EnvironmentServer;

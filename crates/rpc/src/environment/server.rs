@@ -12,27 +12,25 @@ use isodream_proto::v1::environment_service_server::{
 use isodream_proto::v1::{EnvironmentReply, EnvironmentRequest};
 use isodream_proto::{Mismatch, PROTOCOL_VERSION};
 use tokio::net::TcpListener;
-use tokio::sync::{Mutex, Semaphore};
+use tokio::sync::Semaphore;
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status, Streaming};
 
 use super::session::Session;
+use super::stock::Stock;
 use crate::limits::{HELLO_TIMEOUT, MAX_MESSAGE_BYTES};
 use crate::{RpcError, ServiceError};
 
-/// Environments that are alike, for one client at a time.
+/// Environments that are alike, each for one client at a time.
 pub struct EnvironmentServer {
     worlds: Arc<Worlds>,
-    /// Held by the client that drives them.
-    owner: Arc<Mutex<()>>,
 }
 
 /// What all sessions share.
 pub(super) struct Worlds {
     pub(super) spec: EnvSpec,
-    /// Locked while a command is carried out.
-    pub(super) environments: Vec<Arc<Mutex<Box<dyn Environment>>>>,
+    pub(super) stock: Arc<Stock>,
     /// As many commands as may run at once.
     pub(super) threads: Arc<Semaphore>,
 }
@@ -47,14 +45,12 @@ impl EnvironmentServer {
         threads: NonZeroUsize,
     ) -> Result<Self, EnvError> {
         let spec = isodream_envs::common_spec(&environments)?;
-        let shared = |env| Arc::new(Mutex::new(env));
         Ok(Self {
             worlds: Arc::new(Worlds {
                 spec,
-                environments: environments.into_iter().map(shared).collect(),
+                stock: Arc::new(Stock::new(environments)),
                 threads: Arc::new(Semaphore::new(threads.get().min(Semaphore::MAX_PERMITS))),
             }),
-            owner: Arc::default(),
         })
     }
 
@@ -104,12 +100,16 @@ impl EnvironmentService for EnvironmentServer {
             tracing::warn!(?peer, %mismatch, "refused a client");
             return Err(ServiceError::from(mismatch).into());
         }
-        let owner = self.owner.clone().try_lock_owned().map_err(|_| {
-            let reason = "another client drives these environments, or its last command still runs; try again later";
-            ServiceError::Unavailable(reason.to_owned())
+        let wanted = hello.environments as usize;
+        let lease = self.worlds.stock.lease(wanted).map_err(|free| {
+            ServiceError::Unavailable(format!(
+                "{wanted} environments were asked for and {free} of {} are free, the others are driven by other clients; \
+                 serve more of them or try again later",
+                self.worlds.stock.len()
+            ))
         })?;
-        tracing::info!(?peer, "client connected");
-        let session = Session::new(self.worlds.clone(), hello.segmentation, owner);
+        tracing::info!(?peer, environments = wanted, "client connected");
+        let session = Session::new(self.worlds.clone(), hello.segmentation, lease);
         Ok(Response::new(ReceiverStream::new(session.start(requests))))
     }
 }

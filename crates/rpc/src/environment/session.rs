@@ -17,23 +17,24 @@ use tonic::{Status, Streaming};
 
 use super::convert::{row_message, spec_message};
 use super::server::Worlds;
-use crate::ServiceError;
+use super::stock::Lease;
+use crate::{ServiceError, is_refusal};
 
 type Replies = mpsc::Sender<Result<EnvironmentReply, Status>>;
 
 pub(super) struct Session {
     worlds: Arc<Worlds>,
     segmentation: bool,
-    /// Keeps other clients out for as long as this session lives or one of its commands runs.
-    owner: Arc<OwnedMutexGuard<()>>,
+    /// Held for as long as this session lives or one of its commands runs.
+    lease: Arc<Lease>,
 }
 
 impl Session {
-    pub(super) fn new(worlds: Arc<Worlds>, segmentation: bool, owner: OwnedMutexGuard<()>) -> Self {
+    pub(super) fn new(worlds: Arc<Worlds>, segmentation: bool, lease: Lease) -> Self {
         Self {
             worlds,
             segmentation,
-            owner: Arc::new(owner),
+            lease: Arc::new(lease),
         }
     }
 
@@ -43,7 +44,7 @@ impl Session {
         mut requests: Streaming<EnvironmentRequest>,
     ) -> mpsc::Receiver<Result<EnvironmentReply, Status>> {
         // Every environment has at most one command under way.
-        let (replies, answers) = mpsc::channel(self.worlds.environments.len() + 1);
+        let (replies, answers) = mpsc::channel(self.lease.environments().len() + 1);
         tokio::spawn(async move {
             let ended = self.run(&mut requests, &replies).await;
             if let Err(status) = ended {
@@ -63,12 +64,19 @@ impl Session {
         let welcome = EnvironmentWelcome {
             protocol_version: PROTOCOL_VERSION,
             spec: Some(spec_message(&self.worlds.spec)),
-            environments: self.worlds.environments.len() as u32,
+            environments: self.lease.environments().len() as u32,
         };
         let _ = replies.send(Ok(reply(Reply::Welcome(welcome)))).await;
         loop {
             let request = tokio::select! {
-                request = requests.message() => request?,
+                request = requests.message() => match request {
+                    Ok(request) => request,
+                    Err(status) if is_refusal(&status) => return Err(status),
+                    Err(status) => {
+                        tracing::info!(error = status.message(), "client's connection broke");
+                        None
+                    }
+                },
                 () = replies.closed() => None,
             };
             match request.map(|request| request.kind) {
@@ -91,7 +99,7 @@ impl Session {
         for command in batch.commands {
             let index = command.environment;
             let invalid = |why: &str| ServiceError::Invalid(format!("environment {index} {why}"));
-            let env = self.worlds.environments.get(index as usize);
+            let env = self.lease.environments().get(index as usize);
             let env = env.ok_or_else(|| invalid("does not exist"))?;
             let env = env.clone().try_lock_owned();
             let env = env.map_err(|_| invalid("is busy with an earlier command"))?;
@@ -125,9 +133,9 @@ impl Session {
         command: Command,
     ) -> tokio::task::JoinHandle<Outcome> {
         let (threads, segmentation) = (self.worlds.threads.clone(), self.segmentation);
-        let owner = self.owner.clone();
+        let lease = self.lease.clone();
         tokio::spawn(async move {
-            let _owner = owner;
+            let _lease = lease;
             // The semaphore is never closed.
             let _turn = threads.acquire_owned().await;
             let carried_out = tokio::task::spawn_blocking(move || {

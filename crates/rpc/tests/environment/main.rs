@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use isodream_core::config::EnvConfig;
 use isodream_envs::{EnvError, Environment, RemoteFault, VectorEnvironment};
-use isodream_rpc::{RemoteEnvironment, RemoteOptions};
+use isodream_rpc::{RemoteEnvironment, RemoteOptions, environment_spec, open_environments};
 
 use crate::world::{Act, PATIENT, SHORT, Served, TWO, World, options};
 
@@ -66,7 +66,7 @@ fn a_batch_of_remote_environments_runs_over_one_connection() {
     };
     let make = || isodream_envs::make(&config).unwrap();
     let served = Served::environments((0..3).map(|_| make()).collect());
-    let remote = RemoteEnvironment::connect_all(&served.address, options(PATIENT)).unwrap();
+    let remote = RemoteEnvironment::connect_many(&served.address, 3, options(PATIENT)).unwrap();
     let boxed = remote
         .into_iter()
         .map(|env| Box::new(env) as Box<dyn Environment>);
@@ -171,11 +171,11 @@ fn a_server_that_changed_its_spec_is_refused() {
     env.reset(1).unwrap();
     let address = served.kill();
     assert!(env.step(&[0.0; 2]).is_err());
-    let two = vec![World::boxed(Act::Nothing), World::boxed(Act::Nothing)];
-    let _served = Served::environments_at(&address, two);
+    let other = isodream_envs::make(&EnvConfig::default()).unwrap();
+    let _served = Served::environments_at(&address, vec![other]);
     let error = env.reset(1).unwrap_err();
     assert!(
-        error.to_string().contains("now offers 2 x test/world"),
+        error.to_string().contains("now offers highway/day"),
         "{error}"
     );
 }
@@ -193,22 +193,65 @@ fn nobody_there_and_impossible_addresses_are_named() {
 }
 
 #[test]
-fn a_second_client_is_kept_out_until_the_first_has_left() {
-    let served = Served::environments(vec![World::boxed(Act::Nothing)]);
-    let first = served.connect(PATIENT);
-    let second = RemoteEnvironment::connect(&served.address, options(PATIENT));
-    let error = second.err().unwrap().to_string();
-    assert!(
-        error.contains("another client drives these environments"),
-        "{error}"
+fn clients_share_a_server_until_nothing_is_free() {
+    let worlds = (0..3).map(|_| World::boxed(Act::Nothing)).collect();
+    let served = Served::environments(worlds);
+    let connect = |count| RemoteEnvironment::connect_many(&served.address, count, options(PATIENT));
+    let mut two = connect(2).unwrap();
+    let mut one = served.connect(PATIENT);
+    two_steps(&mut two[0]);
+    two_steps(&mut one);
+    two_steps(&mut two[1]);
+    assert_eq!(
+        one.step(&[1.0; 2]).unwrap().image,
+        [3; 18],
+        "its own third step"
     );
-    drop(first);
-    let connects = |_| RemoteEnvironment::connect(&served.address, options(PATIENT)).is_ok();
-    let waited = (0..200).any(|attempt| {
+    let error = connect(1).err().unwrap().to_string();
+    assert!(error.contains("0 of 3 are free"), "{error}");
+    let offered = RemoteEnvironment::offered(&served.address, options(PATIENT)).unwrap();
+    assert_eq!(&offered, one.spec(), "a spec needs no environment");
+    drop(two);
+    let found = (0..200).any(|_| {
         std::thread::sleep(Duration::from_millis(10));
-        connects(attempt)
+        connect(2).is_ok()
     });
-    assert!(waited, "the first client's place is never free");
+    assert!(found, "the first client's environments are never free");
+}
+
+#[test]
+fn a_configuration_opens_environments_elsewhere_as_it_asks_for_them() {
+    let config = EnvConfig {
+        vehicles: 3,
+        time_limit: 20,
+        ..EnvConfig::default()
+    };
+    let make = |_| isodream_envs::make(&config).unwrap();
+    let served = Served::environments((0..2).map(make).collect());
+    let wanted = EnvConfig {
+        id: format!("grpc://{}", served.address),
+        image_size: 32,
+        action_repeat: 8,
+        time_limit: 6,
+        ..config.clone()
+    };
+    let spec = environment_spec(&wanted, PATIENT).unwrap();
+    assert_eq!((spec.id.as_str(), spec.action_repeat), ("highway/day", 8));
+    let mut opened = open_environments(&wanted, 2).unwrap();
+    for env in &mut opened {
+        assert_eq!(env.spec(), &spec);
+        assert_eq!(env.reset(4).unwrap().image.len(), 32 * 32 * 3);
+        let ends: Vec<bool> = (0..6)
+            .map(|_| env.step(&[0.0; 2]).unwrap().is_last)
+            .collect();
+        assert_eq!(ends, [false, false, false, false, false, true]);
+    }
+    let odd = EnvConfig {
+        action_repeat: 6,
+        ..wanted
+    };
+    let error = environment_spec(&odd, PATIENT).unwrap_err().to_string();
+    assert!(error.contains("repeats 4 times"), "{error}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

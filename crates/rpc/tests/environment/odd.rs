@@ -79,7 +79,10 @@ fn odd_greetings_are_refused_by_name() {
             "protocol version 99 does not match",
         ),
         (with(|it| it.spec = None), "names no spec"),
-        (with(|it| it.environments = 0), "offers 0 environments"),
+        (
+            with(|it| it.environments = 0),
+            "offers 0 environments where 1",
+        ),
         (
             with(|it| it.spec.as_mut().unwrap().height = 0),
             "0x3x3 is not possible",

@@ -1,7 +1,12 @@
-//! `isodream env bench`: frames per second with a picture each, and simulator steps per second without.
+//! `isodream env bench`: frames per second with a picture each, simulator steps per second without, and what more
+//! cores and more environments bring and cost.
 
+mod many;
+
+use std::num::NonZeroUsize;
 #[cfg(feature = "mujoco")]
 use std::path::PathBuf;
+use std::thread::available_parallelism;
 use std::time::Instant;
 
 use anyhow::ensure;
@@ -9,6 +14,7 @@ use clap::Args;
 #[cfg(feature = "mujoco")]
 use isodream_envs::dmc::parity::Peer;
 use isodream_envs::{RandomDriver, ScriptedDriver, ids};
+use isodream_rpc::remote_address;
 use serde::Serialize;
 
 use super::{env_config, open};
@@ -30,6 +36,9 @@ pub(crate) struct BenchArgs {
     #[cfg(feature = "mujoco")]
     #[arg(long)]
     peer: Option<PathBuf>,
+    /// Threads of the vectorised measurement; all cores by default
+    #[arg(long)]
+    threads: Option<NonZeroUsize>,
     /// A setting of the environments, for example env.vehicles=10; may be repeated
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
@@ -38,7 +47,7 @@ pub(crate) struct BenchArgs {
     json: bool,
 }
 
-/// One environment on one core.
+/// One environment on one core, and a batch of them on several.
 #[derive(Debug, Serialize)]
 struct EnvBench {
     id: String,
@@ -48,6 +57,12 @@ struct EnvBench {
     steps_per_s: f64,
     /// The reference implementation's `frames_per_s`, where it was measured in the same run.
     peer_frames_per_s: Option<f64>,
+    /// Threads of the batch.
+    threads: usize,
+    /// The batch's frames per second with all threads, over those with one; none for another process.
+    vector_speedup: Option<f64>,
+    /// What one more environment adds to this process, in MB; none where the system does not tell.
+    mb_per_environment: Option<f64>,
 }
 
 /// Runs the command.
@@ -62,9 +77,20 @@ pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     } else {
         args.ids.clone()
     };
+    let threads = args.threads.map_or_else(available_parallelism, Ok)?;
     let mut results = Vec::new();
     for id in chosen {
+        let config = env_config(&id, &args.set)?;
+        let (mut vector_speedup, mut mb_per_environment) = (None, None);
+        if remote_address(&id).is_none() {
+            // First, while no memory of the other measurements lies ready for use.
+            mb_per_environment = many::mb_per_environment(&config)?;
+            vector_speedup = Some(many::speedup(&config, threads, args.seconds)?);
+        }
         results.push(EnvBench {
+            threads: threads.get(),
+            vector_speedup,
+            mb_per_environment,
             frames_per_s: rate(&id, 1, args)?,
             steps_per_s: rate(&id, BLIND_REPEAT, args)?,
             #[cfg(feature = "mujoco")]
@@ -120,16 +146,21 @@ fn rate(id: &str, repeat: u32, args: &BenchArgs) -> anyhow::Result<f64> {
 fn table(results: &[EnvBench]) -> String {
     let width = results.iter().map(|r| r.id.len()).max().unwrap_or(0);
     let mut lines = vec![format!(
-        "{:<width$} {:>10} {:>10} {:>8}",
-        "id", "frames/s", "steps/s", "peer"
+        "{:<width$} {:>10} {:>10} {:>8} {:>8} {:>8}",
+        "id", "frames/s", "steps/s", "peer", "speedup", "MB each"
     )];
     lines.extend(results.iter().map(|result| {
-        let peer = result
-            .peer_frames_per_s
-            .map_or_else(|| "-".to_owned(), |rate| format!("{rate:.0}"));
+        let known = |value: Option<f64>, decimals: usize| {
+            value.map_or_else(|| "-".to_owned(), |value| format!("{value:.decimals$}"))
+        };
         format!(
-            "{:<width$} {:>10.0} {:>10.0} {peer:>8}",
-            result.id, result.frames_per_s, result.steps_per_s
+            "{:<width$} {:>10.0} {:>10.0} {:>8} {:>8} {:>8}",
+            result.id,
+            result.frames_per_s,
+            result.steps_per_s,
+            known(result.peer_frames_per_s, 0),
+            known(result.vector_speedup, 2),
+            known(result.mb_per_environment, 1)
         )
     }));
     lines.join("\n")
