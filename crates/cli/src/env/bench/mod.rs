@@ -18,7 +18,7 @@ use isodream_rpc::remote_address;
 use serde::Serialize;
 
 use super::{env_config, open};
-use crate::output::print_result;
+use crate::output::{print, print_result};
 
 /// Simulator steps between two pictures where pictures are not to count.
 const BLIND_REPEAT: u32 = 200;
@@ -42,6 +42,9 @@ pub(crate) struct BenchArgs {
     /// A setting of the environments, for example env.vehicles=10; may be repeated
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
+    /// Print what one more environment takes, in MB, and nothing else
+    #[arg(long, hide = true)]
+    memory: bool,
     /// Print JSON instead of a table
     #[arg(long)]
     json: bool,
@@ -77,14 +80,21 @@ pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     } else {
         args.ids.clone()
     };
+    if args.memory {
+        for id in chosen {
+            if let Some(mb) = many::measure_mb(&env_config(&id, &args.set)?)? {
+                print(&mb.to_string());
+            }
+        }
+        return Ok(());
+    }
     let threads = args.threads.map_or_else(available_parallelism, Ok)?;
     let mut results = Vec::new();
     for id in chosen {
         let config = env_config(&id, &args.set)?;
         let (mut vector_speedup, mut mb_per_environment) = (None, None);
         if remote_address(&id).is_none() {
-            // First, while no memory of the other measurements lies ready for use.
-            mb_per_environment = many::mb_per_environment(&config)?;
+            mb_per_environment = many::mb_per_environment(&id, &args.set)?;
             vector_speedup = Some(many::speedup(&config, threads, args.seconds)?);
         }
         results.push(EnvBench {
