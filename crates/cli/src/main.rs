@@ -17,6 +17,7 @@ mod tuning;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use isodream_replay::ReplayError;
 use isodream_telemetry::{LogFormat, init_logging};
 
 /// Model-based reinforcement learning with isolated imaginations (Iso-Dream++)
@@ -57,8 +58,21 @@ fn main() -> ExitCode {
         Ok(code) => code,
         Err(error) => {
             eprintln!("error: {error:#}");
-            ExitCode::FAILURE
+            exit_code(&error)
         }
+    }
+}
+
+/// Of a process whose disk failed in a way that only a new start can recover from (EX_SOFTWARE).
+const DISK_FAILED: u8 = 70;
+
+fn exit_code(error: &anyhow::Error) -> ExitCode {
+    let replay = error
+        .chain()
+        .find_map(|cause| cause.downcast_ref::<ReplayError>());
+    match replay {
+        Some(error) if error.is_fatal() => ExitCode::from(DISK_FAILED),
+        _ => ExitCode::FAILURE,
     }
 }
 
