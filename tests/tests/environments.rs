@@ -1,11 +1,13 @@
 //! `isodream env` as a person uses it, and DeepMind Control from its models to a trained checkpoint.
 
 use std::fs;
+use std::path::Path;
+use std::process::Command;
 use std::time::Duration;
 
 use anyhow::{Result, ensure};
 use isodream_learner::checkpoint::Checkpoint;
-use isodream_tests::{Running, free_address, isodream, replay_status, until};
+use isodream_tests::{Running, binary, free_address, isodream, replay_status, until};
 use serde_json::Value;
 
 /// What `isodream` with `args` prints; its failure is an error with its own words.
@@ -64,6 +66,32 @@ fn what_cannot_be_played_is_said() -> Result<()> {
     ensure!(error.contains("keep_lane"), "{error}");
     let error = refused(&to("dmc/walker_walk", "a.png", "overtake"))?;
     ensure!(error.contains("privileged"), "{error}");
+    Ok(())
+}
+
+#[test]
+fn without_mujoco_the_rest_works() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    // Away from where the binary finds its libraries.
+    let moved = folder.path().join("isodream");
+    fs::copy(binary()?, &moved)?;
+    let libtorch = Path::new(env!("CARGO_MANIFEST_DIR")).join("../.native/libtorch/lib");
+    let play = |id: &str| -> Result<(bool, String)> {
+        let output = Command::new(&moved)
+            .env("LD_LIBRARY_PATH", &libtorch)
+            .args(["env", "play", id, "--steps", "3", "--out"])
+            .arg(folder.path().join("a.png"))
+            .output()?;
+        let said = String::from_utf8(output.stderr)?;
+        Ok((output.status.success(), said))
+    };
+    let (worked, said) = play("highway/day")?;
+    ensure!(worked, "{said}");
+    let (worked, said) = play("dmc/walker_walk")?;
+    ensure!(
+        !worked && said.contains("cargo xtask setup") && said.contains("libmujoco"),
+        "{said}"
+    );
     Ok(())
 }
 

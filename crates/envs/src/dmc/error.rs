@@ -5,6 +5,17 @@ use std::path::PathBuf;
 /// A control task could not be loaded, started, stepped or compared.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ControlError {
+    /// MuJoCo is not there, or is another version.
+    #[error(
+        "cannot load MuJoCo's library {file} ({reason}): run `cargo xtask setup`, or put its folder into LD_LIBRARY_PATH; \
+         environments other than dmc/ work without it"
+    )]
+    LibraryMissing {
+        /// Its file name.
+        file: &'static str,
+        /// The loader's words.
+        reason: String,
+    },
     /// A model file of the Control Suite is not there.
     #[error(
         "cannot find {}: run `cargo xtask setup`, or point {} at the suite folder of dm_control",

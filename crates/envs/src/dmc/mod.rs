@@ -8,6 +8,7 @@ mod assets;
 mod environment;
 mod error;
 mod family;
+mod library;
 pub mod parity;
 mod physics;
 mod random;

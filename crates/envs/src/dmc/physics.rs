@@ -6,7 +6,7 @@ use std::sync::Once;
 use mujoco_rs::logging::set_log_handler;
 use mujoco_rs::prelude::*;
 
-use super::ControlError;
+use super::{ControlError, library};
 
 /// The model of a task and its state.
 #[derive(Debug)]
@@ -19,6 +19,7 @@ pub(super) struct Physics {
 impl Physics {
     /// Compiles the model in `path`.
     pub(super) fn load(path: &Path) -> Result<Self, ControlError> {
+        library::load()?;
         silence();
         if !path.is_file() {
             return Err(ControlError::ModelMissing { path: path.into() });
