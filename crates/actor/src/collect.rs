@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::Context;
+use isodream_rpc::limits::FAILOVER_AFTER;
 use isodream_rpc::{AppendClient, AppendOptions, open_environments};
 use tokio_util::sync::CancellationToken;
 
@@ -37,11 +38,13 @@ pub async fn run(options: ActorOptions, shutdown: CancellationToken) -> anyhow::
         .context("the clock stands before 1970")?
         .as_millis() as u64;
     let append = AppendClient::start(AppendOptions {
-        address: options.replay.clone(),
+        addresses: options.replay.clone(),
         identity,
         actor_id: options.actor_id.clone(),
         epoch,
         spool_chunks: options.config.actor.spool_chunks,
+        spool_bytes: options.config.actor.spool_mb << 20,
+        failover_after: FAILOVER_AFTER,
     })?;
     let append = Arc::new(append);
 

@@ -30,8 +30,8 @@ pub struct ActorOptions {
     pub config: Config,
     /// Stable name, unique in the run.
     pub actor_id: String,
-    /// The replay-server, `host:port`; unused by an evaluating actor.
-    pub replay: String,
+    /// The replay-servers, `host:port`; unused by an evaluating actor.
+    pub replay: Vec<String>,
     /// The learner, `host:port`.
     pub learner: String,
 }

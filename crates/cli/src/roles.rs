@@ -67,9 +67,9 @@ pub(crate) struct LearnerArgs {
     /// Where to listen
     #[arg(long, default_value = "127.0.0.1:7002")]
     listen: String,
-    /// The replay-server
-    #[arg(long, default_value = "127.0.0.1:7001")]
-    replay: String,
+    /// The replay-servers; a name may stand for several
+    #[arg(long, value_delimiter = ',', default_value = "127.0.0.1:7001")]
+    replay: Vec<String>,
     /// Where tensors live
     #[arg(long, value_enum, default_value_t = DeviceArg::Auto)]
     device: DeviceArg,
@@ -119,9 +119,9 @@ pub(crate) struct ActorArgs {
     /// Name, unique in the run
     #[arg(long)]
     id: String,
-    /// The replay-server
-    #[arg(long, default_value = "127.0.0.1:7001")]
-    replay: String,
+    /// The replay-servers; a name may stand for several
+    #[arg(long, value_delimiter = ',', default_value = "127.0.0.1:7001")]
+    replay: Vec<String>,
     /// The learner
     #[arg(long, default_value = "127.0.0.1:7002")]
     learner: String,

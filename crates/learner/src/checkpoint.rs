@@ -28,12 +28,12 @@ const CONFIG: &str = "config.toml";
 const MANIFEST: &str = "manifest.json";
 
 /// Where a run stands.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Counters {
     /// Training steps made; also the version of the policy.
     pub updates: u64,
-    /// Steps drawn from replay under its limiter, which continues from here.
-    pub sampled_steps: u64,
+    /// Steps drawn from each replay store, by its id, under its limiter, which continues from here.
+    pub sampled_steps: BTreeMap<String, u64>,
     /// Environment frames seen by replay when the checkpoint was made.
     pub env_frames: u64,
 }
@@ -94,7 +94,7 @@ impl Checkpoint {
         }
         let manifest = Manifest {
             format: FORMAT,
-            counters: self.counters,
+            counters: self.counters.clone(),
             env_spec: self.env_spec.clone(),
             model_hash: self.config.model_hash(),
             files,
@@ -269,7 +269,7 @@ mod tests {
         Checkpoint {
             counters: Counters {
                 updates,
-                sampled_steps: 10 * updates,
+                sampled_steps: BTreeMap::from([("store".to_owned(), 10 * updates)]),
                 env_frames: 20 * updates,
             },
             env_spec: "test".into(),

@@ -37,8 +37,8 @@ pub struct LearnerOptions {
     pub run_dir: PathBuf,
     /// Where actors find this learner, `host:port`.
     pub listen: String,
-    /// The replay-server, `host:port`.
-    pub replay: String,
+    /// The replay-servers, `host:port`.
+    pub replay: Vec<String>,
     /// Where tensors live.
     pub device: Device,
 }

@@ -7,7 +7,7 @@ use anyhow::{Context, bail, ensure};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use isodream_core::{EnvSpec, Steps, codec};
 use isodream_model::batch::StagedSteps;
-use isodream_rpc::{SampleClient, SampledSequence};
+use isodream_rpc::{SampleClient, SampleWatch, SampledSequence};
 use tch::Device;
 
 /// A batch that is ready for training.
@@ -15,8 +15,8 @@ use tch::Device;
 pub(crate) struct StagedBatch {
     /// Its sequences.
     pub(crate) steps: StagedSteps,
-    /// Steps drawn under the limiter up to and with this batch.
-    pub(crate) sampled_steps: u64,
+    /// Steps drawn under the limiter up to and with this batch, by the store's id, of the stores that it is from.
+    pub(crate) sampled_steps: BTreeMap<String, u64>,
 }
 
 struct Job {
@@ -31,7 +31,7 @@ pub(crate) struct BatchStream {
     decoded: Receiver<Decoded>,
     early: BTreeMap<u64, anyhow::Result<StagedBatch>>,
     next: u64,
-    waiting: Box<dyn Fn() -> Option<String> + Send + Sync>,
+    watch: SampleWatch,
 }
 
 /// What a batch is made of.
@@ -52,7 +52,7 @@ impl BatchStream {
         threads: usize,
         prefetch: usize,
     ) -> anyhow::Result<Self> {
-        let waiting = Box::new(client.watch());
+        let watch = client.watch();
         let (jobs, queue) = bounded::<Job>(threads);
         let (done, decoded) = bounded::<Decoded>(prefetch);
         let (size, failed) = (shape.batch_size, done.clone());
@@ -80,7 +80,7 @@ impl BatchStream {
             decoded,
             early: BTreeMap::new(),
             next: 0,
-            waiting,
+            watch,
         })
     }
 
@@ -106,7 +106,7 @@ impl BatchStream {
 
     /// Why no batch comes, in words.
     pub(crate) fn waiting(&self) -> Option<String> {
-        (self.waiting)()
+        self.watch.waiting()
     }
 }
 
@@ -145,9 +145,11 @@ fn decode(sequences: &[SampledSequence], shape: &BatchShape) -> anyhow::Result<S
     let side = shape.spec.image.height as i64;
     Ok(StagedBatch {
         steps: StagedSteps::new(&decoded, side, shape.device),
+        // In their order, so that the last of each store stays.
         sampled_steps: sequences
-            .last()
-            .map_or(0, |sequence| sequence.sampled_steps),
+            .iter()
+            .map(|sequence| (sequence.store_id.to_string(), sequence.sampled_steps))
+            .collect(),
     })
 }
 
@@ -238,6 +240,7 @@ mod tests {
         SampledSequence {
             chunks: vec![chunk(0, 3), chunk(3, 3), chunk(6, 3)],
             offset,
+            store_id: "store".into(),
             sampled_steps: 5,
         }
     }

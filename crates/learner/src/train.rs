@@ -12,7 +12,7 @@ use isodream_model::agent::Metric;
 use isodream_proto::v1::learner_service_server::LearnerServiceServer;
 use isodream_proto::{Identity, v1};
 use isodream_rpc::limits::MAX_MESSAGE_BYTES;
-use isodream_rpc::{SampleClient, SampleOptions, replay_client};
+use isodream_rpc::{SampleClient, SampleOptions, SampleWatch};
 use isodream_telemetry::{MetricsWriter, ResumePoint};
 use tokio_util::sync::CancellationToken;
 
@@ -27,8 +27,8 @@ use crate::service::Service;
 /// How long the loop waits for data before it looks around (shutdown, reports, reasons).
 const PATIENCE: Duration = Duration::from_millis(200);
 
-/// How often the replay-server is asked how much it holds.
-const POLL: Duration = Duration::from_secs(1);
+/// How often the progress is brought up to date.
+const PACE_INTERVAL: Duration = Duration::from_secs(1);
 
 /// A checkpoint is at most this old, however slow the updates are.
 const CHECKPOINT_AGE: Duration = Duration::from_secs(300);
@@ -58,7 +58,10 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
     if let Some(checkpoint) = &checkpoint {
         check_belongs(checkpoint, &options)?;
     }
-    let counters = checkpoint.as_ref().map(|c| c.counters).unwrap_or_default();
+    let counters = checkpoint
+        .as_ref()
+        .map(|c| c.counters.clone())
+        .unwrap_or_default();
     let total = config.total_updates();
     let progress = Arc::new(Progress::new(
         counters.updates,
@@ -94,25 +97,24 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
         .add_service(isodream_rpc::serving::<LearnerServiceServer<Service>>().await)
         .add_service(service);
     let server = tokio::spawn(isodream_rpc::serve(router, listener, serving.clone()));
-    let poll = tokio::spawn(poll_replay(
-        options.replay.clone(),
-        config.env.action_repeat,
-        progress.clone(),
-    ));
-
     let pretrain_left = config
         .learner
         .pretrain_updates
         .saturating_sub(counters.updates);
     let client = SampleClient::start(SampleOptions {
-        address: options.replay.clone(),
+        addresses: options.replay.clone(),
         identity,
         sequence_length: config.learner.batch_length as u32,
         seed: derive_seed(config.seed, &["sample", &counters.updates.to_string()]),
         prefetch: config.learner.batch_size * config.learner.prefetch_batches,
-        sampled_steps: counters.sampled_steps,
+        sampled_steps: counters.sampled_steps.clone(),
         unlimited_sequences: pretrain_left * config.learner.batch_size as u64,
     })?;
+    let follow = tokio::spawn(follow_replay(
+        client.watch(),
+        config.env.action_repeat,
+        progress.clone(),
+    ));
     let shape = BatchShape {
         batch_size: config.learner.batch_size,
         batch_length: config.learner.batch_length,
@@ -143,7 +145,7 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
     let finished = tokio::task::spawn_blocking(move || training.run(checkpoint, &stop))
         .await
         .context("the training thread died")?;
-    poll.abort();
+    follow.abort();
     serving.cancel();
     let served = server.await.context("the learner's server died");
     // What went wrong first is what a person needs to know.
@@ -189,17 +191,13 @@ fn check_belongs(checkpoint: &Checkpoint, options: &LearnerOptions) -> anyhow::R
 }
 
 /// Keeps the number of environment frames and the rates true.
-async fn poll_replay(address: String, action_repeat: u32, progress: Arc<Progress>) {
-    let Ok(mut client) = replay_client(&address) else {
-        return;
-    };
-    let mut tick = tokio::time::interval(POLL);
+async fn follow_replay(replay: SampleWatch, action_repeat: u32, progress: Arc<Progress>) {
+    let mut tick = tokio::time::interval(PACE_INTERVAL);
     loop {
         tick.tick().await;
-        if let Ok(status) = client.status(v1::ReplayStatusRequest {}).await {
-            let frames = status.into_inner().inserted_steps * u64::from(action_repeat);
-            progress.set(|status| status.env_frames = frames);
-        }
+        let frames = replay.inserted_steps() * u64::from(action_repeat);
+        // A server that is away since this process started counts as before.
+        progress.set(|status| status.env_frames = status.env_frames.max(frames));
         progress.measure_pace();
     }
 }
@@ -311,11 +309,9 @@ impl Training {
                 .into();
             });
             *last = agent.update(&batch.steps.to_batch(self.options.device));
-            self.counters = Counters {
-                updates: agent.updates(),
-                sampled_steps: batch.sampled_steps,
-                env_frames: self.progress.env_frames(),
-            };
+            self.counters.updates = agent.updates();
+            self.counters.sampled_steps.extend(batch.sampled_steps);
+            self.counters.env_frames = self.progress.env_frames();
             let wait_share = self.wait_share();
             self.progress.set(|status| {
                 status.updates = agent.updates();
@@ -378,7 +374,7 @@ impl Training {
     /// Hands a copy of everything to the saver.
     fn save(&mut self, agent: &Agent) -> anyhow::Result<()> {
         self.saver.save(Checkpoint {
-            counters: self.counters,
+            counters: self.counters.clone(),
             env_spec: self.options.spec.to_string(),
             config: self.options.config.clone(),
             model: agent.save_model(),
@@ -402,7 +398,7 @@ impl Training {
             ),
             (
                 "replay/sampled_steps".to_owned(),
-                self.counters.sampled_steps as f64,
+                self.counters.sampled_steps.values().sum::<u64>() as f64,
             ),
         ]);
         metrics.scalars(self.counters.env_frames, &values)?;

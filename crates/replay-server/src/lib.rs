@@ -73,7 +73,14 @@ pub async fn serve(
     let stop = shutdown.child_token();
     let _stop_on_drop = stop.clone().drop_guard();
     let (commands, queue) = mpsc::channel(COMMIT_QUEUE);
-    let state = Arc::new(State::new(store, options.limiter, commands, stop.clone()));
+    let store_id = writer.store_id().to_owned();
+    let state = Arc::new(State::new(
+        store,
+        store_id,
+        options.limiter,
+        commands,
+        stop.clone(),
+    ));
     let mut committed = Committer {
         writer,
         queue,

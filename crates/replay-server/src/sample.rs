@@ -25,6 +25,7 @@ pub(crate) fn start(
     state: Arc<State>,
     requests: Streaming<SampleRequest>,
     sampler: Sampler,
+    waiting_credits: u32,
 ) -> mpsc::Receiver<Result<SampleReply, Status>> {
     let (replies, outbound) = mpsc::channel(REPLIES_AHEAD);
     let stop = state.stop.clone();
@@ -32,6 +33,10 @@ pub(crate) fn start(
         state,
         sampler,
         credits: VecDeque::new(),
+        waiting_credits: match waiting_credits {
+            0 => u32::MAX,
+            count => count,
+        },
         replies,
         announced: String::new(),
     };
@@ -54,6 +59,8 @@ struct SampleStream {
     sampler: Sampler,
     /// What the peer asked for, in its order.
     credits: VecDeque<(Draw, u32)>,
+    /// More credits than these are given back rather than kept waiting.
+    waiting_credits: u32,
     replies: Replies,
     /// The reason to wait that the peer knows.
     announced: String,
@@ -137,7 +144,7 @@ impl SampleStream {
                     let reply = SampleReply {
                         chunks: chunks.into_iter().map(Into::into).collect(),
                         offset,
-                        waiting: String::new(),
+                        ..SampleReply::default()
                     };
                     self.reply(reply).await?;
                 }
@@ -163,7 +170,7 @@ impl SampleStream {
         Ok(())
     }
 
-    /// Tells the peer why it waits, once per reason.
+    /// Tells the peer why it waits, once per reason, and gives back the credits that shall not.
     async fn announce(&mut self) -> Result<(), ServiceError> {
         let Some((draw, _)) = self.credits.front().copied() else {
             return Ok(());
@@ -174,15 +181,31 @@ impl SampleStream {
         else {
             return Ok(());
         };
-        if waiting == self.announced {
+        let returned_credits = self.give_back();
+        if waiting == self.announced && returned_credits == 0 {
             return Ok(());
         }
         self.announced.clone_from(&waiting);
         self.reply(SampleReply {
             waiting,
+            returned_credits,
             ..SampleReply::default()
         })
         .await
+    }
+
+    /// Drops the newest credits beyond those that may wait, and counts them.
+    fn give_back(&mut self) -> u32 {
+        let mut room = self.waiting_credits;
+        let mut returned = 0_u32;
+        for (_, count) in &mut self.credits {
+            let kept = room.min(*count);
+            room -= kept;
+            returned = returned.saturating_add(*count - kept);
+            *count = kept;
+        }
+        self.credits.retain(|(_, count)| *count > 0);
+        returned
     }
 
     async fn reply(&self, reply: SampleReply) -> Result<(), ServiceError> {

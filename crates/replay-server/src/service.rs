@@ -62,6 +62,7 @@ impl ReplayServer {
 
     async fn begin(&self, hello: &Hello) -> Result<u64, ServiceError> {
         self.check(hello.handshake.as_ref()).await?;
+        self.state.check_store(&hello.store_id)?;
         let (answer, next_seq) = oneshot::channel();
         let command = Command::Begin {
             actor_id: hello.actor_id.clone(),
@@ -75,6 +76,7 @@ impl ReplayServer {
 
     async fn sampler(&self, hello: &SampleHello) -> Result<Sampler, ServiceError> {
         self.check(hello.handshake.as_ref()).await?;
+        self.state.check_store(&hello.store_id)?;
         if hello.sequence_length == 0 {
             return Err(ServiceError::Invalid("the sequence length is 0".to_owned()));
         }
@@ -140,7 +142,7 @@ impl ReplayService for ReplayServer {
             sampled_steps = hello.sampled_steps,
             "learner connected"
         );
-        let replies = sample::start(self.state.clone(), requests, sampler);
+        let replies = sample::start(self.state.clone(), requests, sampler, hello.waiting_credits);
         Ok(Response::new(ReceiverStream::new(replies)))
     }
 

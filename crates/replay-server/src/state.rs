@@ -13,6 +13,7 @@ use crate::commit::Command;
 
 pub(crate) struct State {
     pub(crate) store: Store,
+    store_id: String,
     limiter: Mutex<RateLimiter>,
     /// Wakes every stream that waits for the limiter.
     pub(crate) changed: Notify,
@@ -25,6 +26,7 @@ pub(crate) struct State {
 impl State {
     pub(crate) fn new(
         store: Store,
+        store_id: String,
         limiter: LimiterOptions,
         commands: mpsc::Sender<Command>,
         stop: CancellationToken,
@@ -32,12 +34,24 @@ impl State {
         let inserted_steps = store.stats().inserted_steps;
         Self {
             store,
+            store_id,
             limiter: Mutex::new(RateLimiter::new(limiter, inserted_steps)),
             changed: Notify::new(),
             commands,
             stop,
             sequence_length: AtomicU32::new(0),
         }
+    }
+
+    /// Refuses, for now, a peer that looks for another store: it asks again who is here.
+    pub(crate) fn check_store(&self, wanted: &str) -> Result<(), ServiceError> {
+        if wanted.is_empty() || wanted == self.store_id {
+            return Ok(());
+        }
+        Err(ServiceError::Unavailable(format!(
+            "this is the store {}, not {wanted}; connect again",
+            self.store_id
+        )))
     }
 
     /// Hands a command to the commit thread; waits while its queue is full.
@@ -120,6 +134,7 @@ impl State {
             sample_waiting: limiter
                 .why_sample_waits(Draw::Limited, can_sample)
                 .unwrap_or_default(),
+            store_id: self.store_id.clone(),
         }
     }
 

@@ -1,4 +1,4 @@
-//! The store's folder: its single-writer lock, its format and what it belongs to.
+//! The store's folder: its single-writer lock, its format, its name and what it belongs to.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Write};
@@ -8,6 +8,7 @@ use crate::ReplayError;
 
 const FORMAT: &str = "isodream-replay 1";
 const FORMAT_FILE: &str = "FORMAT";
+const ID_FILE: &str = "ID";
 const IDENTITY_FILE: &str = "IDENTITY";
 const LOCK_FILE: &str = "LOCK";
 
@@ -24,6 +25,7 @@ pub struct StoreIdentity {
 #[derive(Debug)]
 pub(crate) struct Folder {
     path: PathBuf,
+    id: String,
     _lock: File,
 }
 
@@ -49,12 +51,32 @@ impl Folder {
                 return Err(ReplayError::io("lock", &lock_path)(error));
             }
         }
-        let folder = Self {
+        let mut folder = Self {
             path: path.to_owned(),
+            id: String::new(),
             _lock: lock,
         };
         folder.check_format()?;
+        folder.id = folder.load_id()?;
         Ok(folder)
+    }
+
+    /// Names the store for as long as it exists, also at another path.
+    pub(crate) fn id(&self) -> &str {
+        &self.id
+    }
+
+    fn load_id(&self) -> Result<String, ReplayError> {
+        let path = self.path.join(ID_FILE);
+        match fs::read_to_string(&path) {
+            Ok(text) => Ok(text.trim_end().to_owned()),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                let id = format!("{:032x}", rand::random::<u128>());
+                self.write_durably(ID_FILE, format!("{id}\n").as_bytes())?;
+                Ok(id)
+            }
+            Err(error) => Err(ReplayError::io("read", &path)(error)),
+        }
     }
 
     pub(crate) fn path(&self) -> &Path {
@@ -152,6 +174,15 @@ mod tests {
         fs::write(folder.path().join(FORMAT_FILE), "isodream-replay 2\n").unwrap();
         let error = Folder::open(folder.path()).unwrap_err();
         assert!(error.to_string().contains("isodream-replay 2"), "{error}");
+    }
+
+    #[test]
+    fn a_store_keeps_its_id_and_no_two_share_one() {
+        let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let id = Folder::open(first.path()).unwrap().id().to_owned();
+        assert_eq!(id.len(), 32);
+        assert_eq!(Folder::open(first.path()).unwrap().id(), id);
+        assert_ne!(Folder::open(second.path()).unwrap().id(), id);
     }
 
     #[test]

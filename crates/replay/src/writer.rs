@@ -26,6 +26,11 @@ impl StoreWriter {
         }
     }
 
+    /// Names the store for as long as it exists: kept in its folder, drawn when that was made.
+    pub fn store_id(&self) -> &str {
+        self.log.folder().id()
+    }
+
     /// What the store belongs to: the first identity ever offered, kept durably.
     ///
     /// # Errors

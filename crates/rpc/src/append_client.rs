@@ -1,22 +1,24 @@
 //! Handing experience over, durably.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use isodream_core::Chunk;
 use isodream_proto::Identity;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
-use crate::append_link::AppendLink;
-use crate::link_state::LinkState;
-use crate::spool::Spool;
-use crate::{RpcError, replay_client};
+use crate::append_link::Sender;
+use crate::append_route::AppendRoute;
+use crate::channel::replay_client_over;
+use crate::link_state::{Ending, LinkState};
+use crate::spool::{Bounds, Spool};
+use crate::{Network, RpcError, Tcp};
 
 /// Settings of an [`AppendClient`].
 #[derive(Debug, Clone)]
 pub struct AppendOptions {
-    /// The replay-server, `host:port`.
-    pub address: String,
+    /// The replay-servers, `host:port`; a name that stands for several means all of them.
+    pub addresses: Vec<String>,
     /// What this side works on.
     pub identity: Identity,
     /// Stable name of the actor.
@@ -25,18 +27,34 @@ pub struct AppendOptions {
     pub epoch: u64,
     /// Unacknowledged chunks kept at most; [`AppendClient::send`] waits when they are reached.
     pub spool_chunks: usize,
+    /// Unacknowledged bytes kept at most, as chunks are encoded; a single chunk always has room.
+    pub spool_bytes: usize,
+    /// How long the server may stay away before the client turns to the next, if there is one
+    /// ([`crate::limits::FAILOVER_AFTER`]).
+    pub failover_after: Duration,
 }
 
-/// Sends chunks to a replay-server and keeps each until it is durable there.
+/// Sends chunks to one of several replay-servers and keeps each until it is durable there.
 ///
 /// A task of its own reconnects for as long as the client lives and resends what was not acknowledged.
 /// Dropping the client ends the task: call [`AppendClient::flush`] first.
+///
+/// # Exactly once over several servers
+/// The client stays with one server, chosen by its name, until that stays away for
+/// [`AppendOptions::failover_after`]; then it sends new chunks to the next, and stays there. Whether a server
+/// that went away stored the last chunks it was sent cannot be known before it is back, so these wait for it
+/// (each store has its own numbers) and are never sent to another: no step is stored twice. They are lost only
+/// if that server never returns while this client lives, and they are never more than one spool.
+/// An episode that is running at that moment is split, and the second server's part begins in its middle.
+/// Older processes of the same actor are fenced off at the server that the new one uses.
 #[derive(Debug)]
 pub struct AppendClient {
     actor_id: String,
     epoch: u64,
+    peers: String,
     spool: Arc<Spool>,
-    state: Arc<LinkState>,
+    current: Arc<Mutex<Arc<LinkState>>>,
+    ending: Arc<Ending>,
     runtime: tokio::runtime::Handle,
     _task: DropGuard,
 }
@@ -45,40 +63,60 @@ impl AppendClient {
     /// Starts the client; it connects in the background.
     ///
     /// # Errors
-    /// [`RpcError::Address`] where the address cannot be one.
+    /// [`RpcError::Address`] where an address cannot be one or there is none.
     ///
     /// # Panics
     /// Outside a tokio runtime.
     pub fn start(options: AppendOptions) -> Result<Self, RpcError> {
-        let client = replay_client(&options.address)?;
-        let spool = Arc::new(Spool::new(options.spool_chunks));
-        let state = Arc::new(LinkState::new(&format!(
-            "replay-server {}",
-            options.address
-        )));
+        Self::start_over(Arc::new(Tcp), options)
+    }
+
+    /// [`AppendClient::start`] over any network.
+    ///
+    /// # Errors
+    /// As [`AppendClient::start`].
+    ///
+    /// # Panics
+    /// Outside a tokio runtime.
+    pub fn start_over(network: Arc<dyn Network>, options: AppendOptions) -> Result<Self, RpcError> {
+        let peers = check_addresses(network.as_ref(), &options.addresses)?;
+        let spool = Arc::new(Spool::new(Bounds {
+            chunks: options.spool_chunks,
+            bytes: options.spool_bytes,
+        }));
+        let current = Arc::new(Mutex::new(Arc::new(LinkState::new(&peers))));
+        let ending = Arc::new(Ending::default());
         let cancel = CancellationToken::new();
         let (actor_id, epoch) = (options.actor_id.clone(), options.epoch);
-        let link = AppendLink {
-            client,
+        let sender = Sender {
             identity: options.identity,
             actor_id: options.actor_id,
             epoch: options.epoch,
-            spool: spool.clone(),
-            state: state.clone(),
         };
+        let route = AppendRoute::new(
+            network,
+            options.addresses,
+            options.failover_after,
+            sender,
+            spool.clone(),
+            current.clone(),
+        );
         let cancelled = cancel.clone();
+        let (closed, ended) = (spool.clone(), ending.clone());
         tokio::spawn(async move {
             tokio::select! {
-                () = cancelled.cancelled() => link.state.end(link.state.closed()),
-                () = link.run() => {}
+                () = cancelled.cancelled() => {}
+                error = route.run() => ended.set(error),
             }
-            link.spool.close();
+            closed.close();
         });
         Ok(Self {
             actor_id,
             epoch,
+            peers,
             spool,
-            state,
+            current,
+            ending,
             runtime: tokio::runtime::Handle::current(),
             _task: cancel.drop_guard(),
         })
@@ -98,7 +136,9 @@ impl AppendClient {
         if self.spool.push(chunk).await {
             return Ok(());
         }
-        Err(self.state.ended().unwrap_or_else(|| self.state.closed()))
+        Err(self.failed().unwrap_or_else(|| RpcError::Closed {
+            peer: format!("replay-server {}", self.peers),
+        }))
     }
 
     /// [`AppendClient::send`] for threads without a runtime.
@@ -114,12 +154,16 @@ impl AppendClient {
 
     /// Why chunks are not moving, in words; none where they are.
     pub fn waiting(&self) -> Option<String> {
-        self.state.waiting()
+        if let Some(error) = self.failed() {
+            return Some(error.to_string());
+        }
+        let current = self.current.lock().unwrap_or_else(PoisonError::into_inner);
+        current.waiting()
     }
 
     /// Why the client is at its end; none while it works.
     pub fn failed(&self) -> Option<RpcError> {
-        self.state.ended()
+        self.ending.get()
     }
 
     /// Chunks that are not acknowledged yet.
@@ -127,9 +171,9 @@ impl AppendClient {
         self.spool.len()
     }
 
-    /// Everything below this sequence number is durable.
-    pub fn acknowledged_seq(&self) -> u64 {
-        self.spool.acknowledged_seq()
+    /// Chunks that are durable.
+    pub fn acknowledged_chunks(&self) -> u64 {
+        self.spool.acknowledged()
     }
 
     /// Ends every waiting and future [`AppendClient::send`]; what was handed over is still delivered.
@@ -143,27 +187,44 @@ impl AppendClient {
     /// [`RpcError::NotFlushed`] at the deadline, [`RpcError::Refused`] where the server refused this client.
     pub async fn flush(&self, deadline: Duration) -> Result<(), RpcError> {
         let flushed = async {
+            let mut changes = self.spool.changes();
             loop {
-                let acknowledged = self.spool.acknowledged.notified();
-                tokio::pin!(acknowledged);
-                acknowledged.as_mut().enable();
+                changes.borrow_and_update();
                 if self.spool.len() == 0 {
                     return Ok(());
                 }
-                if let Some(error) = self.state.ended() {
+                if let Some(error) = self.failed() {
                     return Err(error);
                 }
-                acknowledged.await;
+                // The spool lives as long as this client.
+                let _ = changes.changed().await;
             }
         };
         match tokio::time::timeout(deadline, flushed).await {
             Ok(result) => result,
             Err(_) => Err(RpcError::NotFlushed {
-                peer: self.state.peer().to_owned(),
+                peer: format!("replay-server {}", self.peers),
                 chunks: self.spool.len(),
                 deadline,
                 why: self.waiting(),
             }),
         }
     }
+}
+
+/// The addresses in words, if each can be one.
+pub(crate) fn check_addresses(
+    network: &dyn Network,
+    addresses: &[String],
+) -> Result<String, RpcError> {
+    if addresses.is_empty() {
+        return Err(RpcError::Address {
+            address: String::new(),
+            reason: "no replay-server is given".to_owned(),
+        });
+    }
+    for address in addresses {
+        replay_client_over(network, address)?;
+    }
+    Ok(addresses.join(", "))
 }

@@ -1,13 +1,15 @@
-//! The task behind an [`crate::AppendClient`].
+//! One replay-server of an [`crate::AppendClient`].
 
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::Duration;
 
+use isodream_core::Chunk;
 use isodream_proto::v1::append_request::Kind;
 use isodream_proto::v1::replay_service_client::ReplayServiceClient;
-use isodream_proto::v1::{AppendRequest, Hello};
+use isodream_proto::v1::{AppendRequest, Hello, ReplayStatusRequest};
 use isodream_proto::{Identity, v1};
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
+use tokio::time::Instant;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 use tonic::transport::Channel;
@@ -16,36 +18,73 @@ use crate::error::words;
 use crate::limits::RECONNECT_DELAYS;
 use crate::link_state::LinkState;
 use crate::spool::Spool;
-use crate::{is_refusal, reconnect_delays};
+use crate::{RpcError, is_refusal, reconnect_delays};
 
 /// Chunks handed to the transport ahead of its pace.
 const IN_FLIGHT_CHUNKS: usize = 4;
 
-pub(crate) struct AppendLink {
-    pub(crate) client: ReplayServiceClient<Channel>,
+/// Who sends: the same on every link of a client.
+#[derive(Debug, Clone)]
+pub(crate) struct Sender {
     pub(crate) identity: Identity,
     pub(crate) actor_id: String,
     pub(crate) epoch: u64,
+}
+
+/// What a link is for.
+#[derive(Debug, Clone)]
+pub(crate) enum Purpose {
+    /// New chunks, until the server was away for so long; none waits for ever.
+    Current(Option<Duration>),
+    /// What this store was sent before it went away; ends when there is nothing left.
+    Leftovers(String),
+}
+
+/// Why a link ended.
+#[derive(Debug)]
+pub(crate) enum LinkEnd {
+    /// The server was away for too long.
+    Away,
+    /// Nothing is left to be sent.
+    Empty,
+    /// The server refuses this client for good.
+    Refused(RpcError),
+}
+
+pub(crate) struct AppendLink {
+    pub(crate) client: ReplayServiceClient<Channel>,
+    pub(crate) sender: Arc<Sender>,
     pub(crate) spool: Arc<Spool>,
     pub(crate) state: Arc<LinkState>,
+    pub(crate) purpose: Purpose,
+    /// The store that answered last.
+    pub(crate) store_id: Option<String>,
 }
 
 impl AppendLink {
-    /// Connects again and again; returns only when the server refuses for good.
-    pub(crate) async fn run(&self) {
+    /// Connects again and again until it has a reason to end.
+    pub(crate) async fn run(&mut self) -> LinkEnd {
         let mut delays = reconnect_delays();
+        let mut working_at = Instant::now();
         loop {
             let mut progressed = false;
             let since = Instant::now();
-            let status = match self.connection(&mut progressed).await {
-                Ok(()) => Status::unavailable("the server closed the stream"),
+            let mut connected = false;
+            let result = self
+                .connection(working_at, &mut connected, &mut progressed)
+                .await;
+            let status = match result {
+                Ok(Some(end)) => return end,
+                Ok(None) => Status::unavailable("the server closed the stream"),
                 Err(status) => status,
             };
             if is_refusal(&status) {
-                self.state.end(self.state.refused(words(&status)));
-                return;
+                return LinkEnd::Refused(self.state.refused(words(&status)));
             }
             self.state.lost(words(&status));
+            if connected {
+                working_at = Instant::now();
+            }
             if progressed || since.elapsed() > RECONNECT_DELAYS.1 {
                 delays = reconnect_delays();
             }
@@ -53,53 +92,142 @@ impl AppendLink {
         }
     }
 
-    /// One connection; `progressed` tells whether the server acknowledged anything new.
-    async fn connection(&self, progressed: &mut bool) -> Result<(), Status> {
-        let (outbound, requests) = mpsc::channel(IN_FLIGHT_CHUNKS);
-        let acknowledged_seq = self.spool.acknowledged_seq();
-        let hello = Hello {
-            handshake: Some(self.identity.handshake()),
-            actor_id: self.actor_id.clone(),
-            epoch: self.epoch,
-            acknowledged_seq,
+    /// One connection; ends early where none comes about soon enough after `working_at`.
+    async fn connection(
+        &mut self,
+        working_at: Instant,
+        connected: &mut bool,
+        progressed: &mut bool,
+    ) -> Result<Option<LinkEnd>, Status> {
+        let opening = self.open();
+        let opened = match self.purpose {
+            Purpose::Current(Some(patience)) => {
+                match tokio::time::timeout_at(working_at + patience, opening).await {
+                    Ok(opened) => opened?,
+                    Err(_) => return Ok(Some(LinkEnd::Away)),
+                }
+            }
+            Purpose::Current(None) | Purpose::Leftovers(_) => opening.await?,
         };
+        let Some(opened) = opened else {
+            return Ok(None);
+        };
+        *connected = true;
+        self.exchange(opened, progressed).await
+    }
+
+    /// Asks who is there and opens a stream to it; none where it closed at once.
+    async fn open(&self) -> Result<Option<Opened>, Status> {
+        let mut client = self.client.clone();
+        let status = client.status(ReplayStatusRequest {}).await?;
+        let store_id = status.into_inner().store_id;
+        if let Purpose::Leftovers(wanted) = &self.purpose
+            && *wanted != store_id
+        {
+            return Err(Status::unavailable(format!(
+                "the store is {store_id} now, {wanted} is away"
+            )));
+        }
+        let acknowledged_seq = self.spool.first_seq(&store_id);
+        let hello = Hello {
+            handshake: Some(self.sender.identity.handshake()),
+            actor_id: self.sender.actor_id.clone(),
+            epoch: self.sender.epoch,
+            acknowledged_seq,
+            store_id: store_id.clone(),
+        };
+        let (outbound, requests) = mpsc::channel(IN_FLIGHT_CHUNKS);
         // Room is certain: the queue is new.
         let _ = outbound.try_send(request(Kind::Hello(hello)));
-        let mut client = self.client.clone();
         let mut replies = client
             .append(ReceiverStream::new(requests))
             .await?
             .into_inner();
         let Some(first) = replies.message().await? else {
-            return Ok(());
+            return Ok(None);
         };
+        Ok(Some(Opened {
+            store_id,
+            acknowledged_seq,
+            outbound,
+            replies,
+            first,
+        }))
+    }
+
+    /// Sends and is answered until the connection or the work ends; `progressed` tells whether the server
+    /// acknowledged anything new.
+    async fn exchange(
+        &mut self,
+        opened: Opened,
+        progressed: &mut bool,
+    ) -> Result<Option<LinkEnd>, Status> {
+        let Opened {
+            store_id,
+            acknowledged_seq,
+            outbound,
+            mut replies,
+            first,
+        } = opened;
         self.state.connected();
-        self.answered(&first, acknowledged_seq, progressed)?;
+        let is_current = matches!(self.purpose, Purpose::Current(_));
+        if is_current {
+            let given_up = self.spool.turn_to(&store_id);
+            if given_up > 0 {
+                tracing::warn!(
+                    chunks = given_up,
+                    "gave up chunks that replay-servers took away with them"
+                );
+            }
+        }
+        self.store_id = Some(store_id.clone());
+        self.answered(&store_id, &first, acknowledged_seq, progressed)?;
         let mut next_seq = first.durable_seq;
+        let mut changes = self.spool.changes();
         loop {
-            let pushed = self.spool.pushed.notified();
-            let chunk = self.spool.get(next_seq);
-            let has_chunk = chunk.is_some();
+            if !is_current && !self.spool.owes(&store_id) {
+                return Ok(Some(LinkEnd::Empty));
+            }
             tokio::select! {
                 reply = replies.message() => match reply? {
-                    Some(reply) => self.answered(&reply, acknowledged_seq, progressed)?,
-                    None => return Ok(()),
+                    Some(reply) => self.answered(&store_id, &reply, acknowledged_seq, progressed)?,
+                    None => return Ok(None),
                 },
-                room = outbound.reserve(), if has_chunk => match (room, chunk) {
-                    (Ok(room), Some(chunk)) => {
+                next = self.next_chunk(&outbound, &mut changes, &store_id, next_seq) => match next {
+                    Some((room, chunk)) => {
                         room.send(request(Kind::Chunk(chunk.into())));
                         next_seq += 1;
                     }
                     // The transport dropped the request stream: the replies carry the reason.
-                    _ => return self.drain(&mut replies).await,
+                    None => return self.drain(&store_id, &mut replies).await,
                 },
-                () = pushed, if !has_chunk => {}
             }
+        }
+    }
+
+    /// Chunk `seq` and room for it in the transport, which comes first: a chunk that is taken belongs to this
+    /// store for good. None where the transport is gone.
+    async fn next_chunk<'a>(
+        &self,
+        outbound: &'a mpsc::Sender<AppendRequest>,
+        changes: &mut watch::Receiver<()>,
+        store_id: &str,
+        seq: u64,
+    ) -> Option<(mpsc::Permit<'a, AppendRequest>, Chunk)> {
+        let take = matches!(self.purpose, Purpose::Current(_));
+        let room = outbound.reserve().await.ok()?;
+        loop {
+            changes.borrow_and_update();
+            if let Some(chunk) = self.spool.get(store_id, seq, take) {
+                return Some((room, chunk));
+            }
+            changes.changed().await.ok()?;
         }
     }
 
     fn answered(
         &self,
+        store_id: &str,
         reply: &v1::AppendReply,
         acknowledged_before: u64,
         progressed: &mut bool,
@@ -111,17 +239,34 @@ impl AppendLink {
             )));
         }
         *progressed |= reply.durable_seq > acknowledged_before;
-        self.spool.acknowledge(reply.durable_seq);
+        self.spool
+            .acknowledge(store_id, reply.durable_seq)
+            .map_err(Status::failed_precondition)?;
         self.state.peer_waits(&reply.waiting);
         Ok(())
     }
 
-    async fn drain(&self, replies: &mut tonic::Streaming<v1::AppendReply>) -> Result<(), Status> {
+    async fn drain(
+        &self,
+        store_id: &str,
+        replies: &mut tonic::Streaming<v1::AppendReply>,
+    ) -> Result<Option<LinkEnd>, Status> {
         while let Some(reply) = replies.message().await? {
-            self.spool.acknowledge(reply.durable_seq);
+            self.spool
+                .acknowledge(store_id, reply.durable_seq)
+                .map_err(Status::failed_precondition)?;
         }
-        Ok(())
+        Ok(None)
     }
+}
+
+/// A stream whose hello was answered.
+struct Opened {
+    store_id: String,
+    acknowledged_seq: u64,
+    outbound: mpsc::Sender<AppendRequest>,
+    replies: tonic::Streaming<v1::AppendReply>,
+    first: v1::AppendReply,
 }
 
 fn request(kind: Kind) -> AppendRequest {

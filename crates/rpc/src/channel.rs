@@ -4,11 +4,11 @@ use isodream_proto::v1::learner_service_client::LearnerServiceClient;
 use isodream_proto::v1::replay_service_client::ReplayServiceClient;
 use tonic::transport::{Channel, Endpoint};
 
-use crate::RpcError;
 use crate::limits::{
     CONNECT_TIMEOUT, CONNECTION_WINDOW_BYTES, KEEPALIVE_INTERVAL, KEEPALIVE_TIMEOUT,
     MAX_FRAME_BYTES, MAX_MESSAGE_BYTES, STREAM_WINDOW_BYTES,
 };
+use crate::{Network, RpcError, Tcp};
 
 /// A connection to `address` (`host:port`, with or without `http://`), made at the first call and again
 /// after every loss.
@@ -19,6 +19,10 @@ use crate::limits::{
 /// # Panics
 /// Outside a tokio runtime.
 pub fn channel(address: &str) -> Result<Channel, RpcError> {
+    channel_over(&Tcp, address)
+}
+
+fn channel_over(network: &dyn Network, address: &str) -> Result<Channel, RpcError> {
     let uri = if address.contains("://") {
         address.to_owned()
     } else {
@@ -32,7 +36,7 @@ pub fn channel(address: &str) -> Result<Channel, RpcError> {
     if endpoint.uri().port().is_none() {
         return Err(invalid("the port is missing".to_owned()));
     }
-    Ok(endpoint
+    let endpoint = endpoint
         .connect_timeout(CONNECT_TIMEOUT)
         .http2_keep_alive_interval(KEEPALIVE_INTERVAL)
         .keep_alive_timeout(KEEPALIVE_TIMEOUT)
@@ -40,8 +44,8 @@ pub fn channel(address: &str) -> Result<Channel, RpcError> {
         .initial_stream_window_size(STREAM_WINDOW_BYTES)
         .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
         .max_frame_size(MAX_FRAME_BYTES)
-        .tcp_nodelay(true)
-        .connect_lazy())
+        .tcp_nodelay(true);
+    Ok(network.channel(&endpoint))
 }
 
 /// A client of the replay service at `address`.
@@ -49,7 +53,15 @@ pub fn channel(address: &str) -> Result<Channel, RpcError> {
 /// # Errors
 /// As [`channel`].
 pub fn replay_client(address: &str) -> Result<ReplayServiceClient<Channel>, RpcError> {
-    Ok(ReplayServiceClient::new(channel(address)?)
+    replay_client_over(&Tcp, address)
+}
+
+/// [`replay_client`] over any network.
+pub(crate) fn replay_client_over(
+    network: &dyn Network,
+    address: &str,
+) -> Result<ReplayServiceClient<Channel>, RpcError> {
+    Ok(ReplayServiceClient::new(channel_over(network, address)?)
         .max_decoding_message_size(MAX_MESSAGE_BYTES)
         .max_encoding_message_size(MAX_MESSAGE_BYTES))
 }

@@ -4,20 +4,25 @@
 //! - [`bind`], [`server`], [`serve`]: the skeleton of every server
 //! - [`ServiceError`]: the one mapping between errors and gRPC status; [`is_refusal`] reads it back
 //! - [`shutdown_on_signal`], [`reconnect_delays`]
-//! - [`AppendClient`], [`SampleClient`]: the two ends of experience, which reconnect by themselves
+//! - [`AppendClient`], [`SampleClient`]: the two ends of experience over any number of replay-servers, which
+//!   reconnect by themselves; [`Network`] is the seam for a simulated network
 //! - [`open_environments`]: environments as a configuration names them, here or in other processes
 //!   ([`EnvironmentServer`], [`RemoteEnvironment`])
 
 mod append_client;
 mod append_link;
+mod append_route;
 mod backoff;
 mod channel;
 mod environment;
 mod error;
 pub mod limits;
 mod link_state;
+mod network;
 mod sample_client;
 mod sample_link;
+mod sample_merge;
+mod sample_watch;
 mod server;
 mod shutdown;
 mod spool;
@@ -30,6 +35,8 @@ pub use environment::{
     open_environment, open_environments, remote_address,
 };
 pub use error::{RpcError, ServiceError, is_refusal};
+pub use network::{Network, Resolving, Tcp};
 pub use sample_client::{SampleClient, SampleOptions, SampledSequence};
+pub use sample_watch::SampleWatch;
 pub use server::{bind, serve, server, serving};
 pub use shutdown::shutdown_on_signal;

@@ -20,6 +20,14 @@ pub const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(10);
 pub const HELLO_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long open streams may take to end at shutdown.
 pub const SHUTDOWN_GRACE: Duration = Duration::from_secs(3);
+/// How long an actor's replay-server may stay away before the actor turns to the next one.
+pub const FAILOVER_AFTER: Duration = Duration::from_secs(15);
+/// How often a learner asks its replay-servers what they hold.
+pub const STATUS_INTERVAL: Duration = Duration::from_secs(1);
+/// How long such an answer may take.
+pub const STATUS_TIMEOUT: Duration = Duration::from_secs(5);
+/// How often a learner looks up again which replay-servers its names stand for.
+pub const RESOLVE_INTERVAL: Duration = Duration::from_secs(10);
 /// First and longest pause between attempts to reconnect.
 pub const RECONNECT_DELAYS: (Duration, Duration) =
     (Duration::from_millis(100), Duration::from_secs(5));

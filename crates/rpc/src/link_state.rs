@@ -1,11 +1,26 @@
-//! What a client knows of its connection, in words.
+//! What a client knows of its connections, in words.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::Instant;
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
+
+use tokio::time::Instant;
 
 use crate::RpcError;
 
-/// Shared by a client's handle and its task.
+/// Why a client is at its end: shared by its handle and all its tasks; the first reason stays.
+#[derive(Debug, Default)]
+pub(crate) struct Ending(OnceLock<RpcError>);
+
+impl Ending {
+    pub(crate) fn set(&self, error: RpcError) {
+        let _ = self.0.set(error);
+    }
+
+    pub(crate) fn get(&self) -> Option<RpcError> {
+        self.0.get().cloned()
+    }
+}
+
+/// One connection, as its task and the client's handle see it.
 #[derive(Debug)]
 pub(crate) struct LinkState {
     peer: String,
@@ -19,18 +34,16 @@ struct Inner {
     last_error: String,
     /// The peer's own reason to make us wait.
     peer_waits: String,
-    ended: Option<RpcError>,
 }
 
 impl LinkState {
-    pub(crate) fn new(peer: &str) -> Self {
+    pub(crate) fn new(address: &str) -> Self {
         Self {
-            peer: peer.to_owned(),
+            peer: format!("replay-server {address}"),
             inner: Mutex::new(Inner {
                 gone_since: Some(Instant::now()),
                 last_error: String::new(),
                 peer_waits: String::new(),
-                ended: None,
             }),
         }
     }
@@ -59,22 +72,6 @@ impl LinkState {
         }
     }
 
-    /// The client is at its end; the first reason stays.
-    pub(crate) fn end(&self, error: RpcError) {
-        self.lock().ended.get_or_insert(error);
-    }
-
-    /// Why the client is at its end.
-    pub(crate) fn ended(&self) -> Option<RpcError> {
-        self.lock().ended.clone()
-    }
-
-    pub(crate) fn closed(&self) -> RpcError {
-        RpcError::Closed {
-            peer: self.peer.clone(),
-        }
-    }
-
     pub(crate) fn refused(&self, reason: String) -> RpcError {
         RpcError::Refused {
             peer: self.peer.clone(),
@@ -82,15 +79,8 @@ impl LinkState {
         }
     }
 
-    pub(crate) fn peer(&self) -> &str {
-        &self.peer
-    }
-
     pub(crate) fn waiting(&self) -> Option<String> {
         let inner = self.lock();
-        if let Some(error) = &inner.ended {
-            return Some(error.to_string());
-        }
         if let Some(since) = inner.gone_since {
             let cause = if inner.last_error.is_empty() {
                 String::new()

@@ -1,5 +1,6 @@
 //! Drawing experience.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use isodream_core::Chunk;
@@ -7,26 +8,28 @@ use isodream_proto::Identity;
 use tokio::sync::mpsc;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
-use crate::link_state::LinkState;
-use crate::sample_link::SampleLink;
-use crate::{RpcError, replay_client};
+use crate::append_client::check_addresses;
+use crate::sample_merge::SampleMerge;
+use crate::sample_watch::SampleWatch;
+use crate::{Network, RpcError, Tcp};
 
 /// Settings of a [`SampleClient`].
 #[derive(Debug, Clone)]
 pub struct SampleOptions {
-    /// The replay-server, `host:port`.
-    pub address: String,
+    /// The replay-servers, `host:port`. A name may stand for several, and is looked up every few seconds
+    /// ([`crate::limits::RESOLVE_INTERVAL`]), so that a new one needs no restart.
+    pub addresses: Vec<String>,
     /// What this side works on.
     pub identity: Identity,
     /// Steps per sequence.
     pub sequence_length: u32,
     /// Seed of the draws.
     pub seed: u64,
-    /// Sequences on their way or buffered at most; at least one batch.
+    /// Sequences on their way or buffered at most; at least one batch, and more than there are servers.
     pub prefetch: usize,
-    /// Steps drawn under the limiter so far: 0, or [`SampledSequence::sampled_steps`] of the last sequence a
-    /// checkpoint has seen.
-    pub sampled_steps: u64,
+    /// Steps drawn under the limiter of each store so far: empty, or [`SampledSequence::sampled_steps`] of the
+    /// last sequence of each [`SampledSequence::store_id`] that a checkpoint has seen.
+    pub sampled_steps: BTreeMap<String, u64>,
     /// The first sequences, for pretraining, which do not count against the limiter.
     pub unlimited_sequences: u64,
 }
@@ -38,17 +41,25 @@ pub struct SampledSequence {
     pub chunks: Vec<Chunk>,
     /// Steps of the first chunk that precede the sequence.
     pub offset: u32,
-    /// Steps drawn under the limiter up to and with this sequence: what a checkpoint that has used it keeps.
+    /// The store that it was drawn from.
+    pub store_id: Arc<str>,
+    /// Steps drawn under the limiter of this store up to and with this sequence: what a checkpoint that has
+    /// used it keeps.
     pub sampled_steps: u64,
 }
 
-/// Draws sequences from a replay-server, ahead of use.
+/// Draws sequences from all replay-servers in proportion to the steps that each holds, ahead of use.
+///
+/// Each server has a limiter of its own, so that in the long run its share of the draws is its share of the
+/// insertions: where that limiter makes draws wait, they are made elsewhere meanwhile. So is what a server that
+/// is away cannot serve; the count of its store is kept until it is back.
 ///
 /// A task of its own reconnects for as long as the client lives. Dropping the client ends it.
 #[derive(Debug)]
 pub struct SampleClient {
     sequences: mpsc::Receiver<SampledSequence>,
-    state: Arc<LinkState>,
+    watch: SampleWatch,
+    peers: String,
     _task: DropGuard,
 }
 
@@ -56,29 +67,35 @@ impl SampleClient {
     /// Starts the client; it connects in the background.
     ///
     /// # Errors
-    /// [`RpcError::Address`] where the address cannot be one.
+    /// [`RpcError::Address`] where an address cannot be one or there is none.
     ///
     /// # Panics
     /// Outside a tokio runtime.
     pub fn start(options: SampleOptions) -> Result<Self, RpcError> {
-        let client = replay_client(&options.address)?;
-        let state = Arc::new(LinkState::new(&format!(
-            "replay-server {}",
-            options.address
-        )));
-        let (sender, sequences) = mpsc::channel(options.prefetch.max(1));
+        Self::start_over(Arc::new(Tcp), options)
+    }
+
+    /// [`SampleClient::start`] over any network.
+    ///
+    /// # Errors
+    /// As [`SampleClient::start`].
+    ///
+    /// # Panics
+    /// Outside a tokio runtime.
+    pub fn start_over(network: Arc<dyn Network>, options: SampleOptions) -> Result<Self, RpcError> {
+        let peers = check_addresses(network.as_ref(), &options.addresses)?;
+        // One credit at each server may be stuck, and that must not hold the others up.
+        let capacity = options.prefetch.max(2 * options.addresses.len());
+        let (sender, sequences) = mpsc::channel(capacity);
+        let watch = SampleWatch::default();
+        let merge = SampleMerge::new(network, options, sender, watch.clone());
         let cancel = CancellationToken::new();
-        let mut link = SampleLink::new(client, options, sender, state.clone());
-        let (cancelled, ended) = (cancel.clone(), state.clone());
-        tokio::spawn(async move {
-            tokio::select! {
-                () = cancelled.cancelled() => ended.end(ended.closed()),
-                () = link.run() => {}
-            }
-        });
+        let cancelled = cancel.clone();
+        tokio::spawn(cancelled.run_until_cancelled_owned(merge.run()));
         Ok(Self {
             sequences,
-            state,
+            watch,
+            peers,
             _task: cancel.drop_guard(),
         })
     }
@@ -111,16 +128,17 @@ impl SampleClient {
 
     /// Why no sequences arrive, in words; none where they do.
     pub fn waiting(&self) -> Option<String> {
-        self.state.waiting()
+        self.watch.waiting()
     }
 
-    /// A handle that answers [`SampleClient::waiting`] while another thread holds the client.
-    pub fn watch(&self) -> impl Fn() -> Option<String> + Send + Sync + 'static + use<> {
-        let state = self.state.clone();
-        move || state.waiting()
+    /// What is known of the servers, for others while a thread holds the client.
+    pub fn watch(&self) -> SampleWatch {
+        self.watch.clone()
     }
 
     fn end(&self) -> RpcError {
-        self.state.ended().unwrap_or_else(|| self.state.closed())
+        self.watch.ended().unwrap_or_else(|| RpcError::Closed {
+            peer: format!("replay-server {}", self.peers),
+        })
     }
 }

@@ -1,62 +1,51 @@
-//! The task behind a [`crate::SampleClient`].
+//! One replay-server of a [`crate::SampleClient`]: it connects, and reports to the client's task.
 
-use std::collections::VecDeque;
 use std::sync::Arc;
-use std::time::Instant;
 
-use isodream_core::{Chunk, derive_seed};
 use isodream_proto::v1::replay_service_client::ReplayServiceClient;
-use isodream_proto::v1::sample_request::Kind;
-use isodream_proto::v1::{SampleCredit, SampleHello, SampleReply, SampleRequest};
-use tokio::sync::mpsc::{self, OwnedPermit};
+use isodream_proto::v1::{ReplayStatus, ReplayStatusRequest, SampleReply, SampleRequest};
+use tokio::sync::{mpsc, oneshot};
+use tokio::time::{Instant, timeout};
 use tokio_stream::wrappers::ReceiverStream;
-use tonic::Status;
 use tonic::transport::Channel;
+use tonic::{Status, Streaming};
 
 use crate::error::words;
-use crate::limits::RECONNECT_DELAYS;
+use crate::limits::{RECONNECT_DELAYS, STATUS_INTERVAL, STATUS_TIMEOUT};
 use crate::link_state::LinkState;
-use crate::{SampleOptions, SampledSequence, is_refusal, reconnect_delays};
+use crate::{RpcError, is_refusal, reconnect_delays};
 
-pub(crate) struct SampleLink {
-    client: ReplayServiceClient<Channel>,
-    options: SampleOptions,
-    sequences: mpsc::Sender<SampledSequence>,
-    state: Arc<LinkState>,
-    /// Room in the channel, one for each sequence that is or will be asked for: credits never exceed it.
-    room: VecDeque<OwnedPermit<SampledSequence>>,
-    connections: u64,
-    sampled_steps: u64,
-    unlimited_left: u64,
+/// What a link reports, in the order in which it happened.
+pub(crate) enum Event {
+    /// A server is there. The client's task queues hello and credits on `requests`, and answers whether the
+    /// stream shall be opened.
+    Found {
+        status: ReplayStatus,
+        requests: mpsc::Sender<SampleRequest>,
+        answer: oneshot::Sender<bool>,
+    },
+    /// A sequence, or a reason to wait.
+    Reply(SampleReply),
+    /// What the server holds now.
+    Holds(ReplayStatus),
+    /// The connection is gone, and its credits with it.
+    Lost,
+    /// The server refuses this client for good.
+    Refused(RpcError),
 }
 
-/// Credits granted on one connection and not used up, in the order in which the server serves them.
-#[derive(Default)]
-struct Granted {
-    unlimited: VecDeque<bool>,
+pub(crate) struct SampleLink {
+    pub(crate) address: String,
+    pub(crate) client: ReplayServiceClient<Channel>,
+    pub(crate) state: Arc<LinkState>,
+    /// Requests queued on one connection at most.
+    pub(crate) requests_ahead: usize,
+    pub(crate) events: mpsc::Sender<(String, Event)>,
 }
 
 impl SampleLink {
-    pub(crate) fn new(
-        client: ReplayServiceClient<Channel>,
-        options: SampleOptions,
-        sequences: mpsc::Sender<SampledSequence>,
-        state: Arc<LinkState>,
-    ) -> Self {
-        Self {
-            client,
-            sampled_steps: options.sampled_steps,
-            unlimited_left: options.unlimited_sequences,
-            options,
-            sequences,
-            state,
-            room: VecDeque::new(),
-            connections: 0,
-        }
-    }
-
-    /// Connects again and again; returns only when the server refuses for good or nobody listens any more.
-    pub(crate) async fn run(&mut self) {
+    /// Connects again and again; returns when the server refuses for good or nobody listens any more.
+    pub(crate) async fn run(self) {
         let mut delays = reconnect_delays();
         loop {
             let mut progressed = false;
@@ -65,14 +54,16 @@ impl SampleLink {
                 Ok(()) => Status::unavailable("the server closed the stream"),
                 Err(status) => status,
             };
-            if is_refusal(&status) {
-                self.state.end(self.state.refused(words(&status)));
-                return;
-            }
-            if self.sequences.is_closed() {
-                return;
-            }
+            let refused = is_refusal(&status);
             self.state.lost(words(&status));
+            let event = if refused {
+                Event::Refused(self.state.refused(words(&status)))
+            } else {
+                Event::Lost
+            };
+            if !self.report(event).await || refused {
+                return;
+            }
             if progressed || since.elapsed() > RECONNECT_DELAYS.1 {
                 delays = reconnect_delays();
             }
@@ -80,102 +71,71 @@ impl SampleLink {
         }
     }
 
-    async fn connection(&mut self, progressed: &mut bool) -> Result<(), Status> {
-        // Room for the hello and for as many grants as there can be sequences.
-        let (outbound, requests) = mpsc::channel(self.options.prefetch.max(1) + 1);
-        let _ = outbound.try_send(request(Kind::Hello(self.hello())));
-        self.connections += 1;
-        let mut granted = Granted::default();
+    /// One connection; `progressed` tells whether a sequence came.
+    async fn connection(&self, progressed: &mut bool) -> Result<(), Status> {
         let mut client = self.client.clone();
+        let status = client.status(ReplayStatusRequest {}).await?.into_inner();
+        let (requests, outbound) = mpsc::channel(self.requests_ahead);
+        let (answer, wanted) = oneshot::channel();
+        let found = Event::Found {
+            status,
+            requests,
+            answer,
+        };
+        if !self.report(found).await {
+            return Ok(());
+        }
+        if !wanted.await.unwrap_or(false) {
+            return Err(Status::unavailable(
+                "its store is served at another address as well",
+            ));
+        }
         let mut replies = client
-            .sample(ReceiverStream::new(requests))
+            .sample(ReceiverStream::new(outbound))
             .await?
             .into_inner();
         self.state.connected();
-        loop {
-            self.grant(&mut granted, &outbound);
-            tokio::select! {
-                reply = replies.message() => match reply? {
-                    Some(reply) if reply.chunks.is_empty() => self.state.peer_waits(&reply.waiting),
-                    Some(reply) => {
-                        *progressed = true;
-                        self.state.peer_waits("");
-                        self.receive(reply, &mut granted)?;
-                    }
-                    None => return Ok(()),
-                },
-                room = self.sequences.clone().reserve_owned() => match room {
-                    Ok(room) => self.room.push_back(room),
-                    Err(_) => return Ok(()),
-                },
+        tokio::select! {
+            result = self.receive(&mut replies, progressed) => result,
+            () = self.watch_holdings() => Ok(()),
+        }
+    }
+
+    async fn receive(
+        &self,
+        replies: &mut Streaming<SampleReply>,
+        progressed: &mut bool,
+    ) -> Result<(), Status> {
+        while let Some(reply) = replies.message().await? {
+            *progressed |= !reply.chunks.is_empty();
+            self.state.peer_waits(&reply.waiting);
+            if !self.report(Event::Reply(reply)).await {
+                break;
             }
         }
-    }
-
-    fn hello(&self) -> SampleHello {
-        // A new stream of draws per connection, or every reconnection would repeat the first sequences.
-        let path = [self.sampled_steps.to_string(), self.connections.to_string()];
-        SampleHello {
-            handshake: Some(self.options.identity.handshake()),
-            sequence_length: self.options.sequence_length,
-            sampled_steps: self.sampled_steps,
-            seed: derive_seed(self.options.seed, &["sample", &path[0], &path[1]]),
-        }
-    }
-
-    /// Grants a credit for every place in the channel that has none yet.
-    fn grant(&mut self, granted: &mut Granted, outbound: &mpsc::Sender<SampleRequest>) {
-        while let Ok(room) = self.sequences.clone().try_reserve_owned() {
-            self.room.push_back(room);
-        }
-        let unlimited_granted = granted
-            .unlimited
-            .iter()
-            .filter(|unlimited| **unlimited)
-            .count();
-        let missing = self.room.len() - granted.unlimited.len();
-        let unlimited_missing = self.unlimited_left.saturating_sub(unlimited_granted as u64);
-        let unlimited = missing.min(usize::try_from(unlimited_missing).unwrap_or(usize::MAX));
-        for (count, unlimited) in [(unlimited, true), (missing - unlimited, false)] {
-            let credit = SampleCredit {
-                sequences: count as u32,
-                unlimited,
-            };
-            if count > 0 && outbound.try_send(request(Kind::Credit(credit))).is_ok() {
-                granted
-                    .unlimited
-                    .extend(std::iter::repeat_n(unlimited, count));
-            }
-        }
-    }
-
-    fn receive(&mut self, reply: SampleReply, granted: &mut Granted) -> Result<(), Status> {
-        let (Some(unlimited), Some(room)) = (granted.unlimited.pop_front(), self.room.pop_front())
-        else {
-            return Err(Status::internal(
-                "the server sent more sequences than it was asked for",
-            ));
-        };
-        let chunks = reply
-            .chunks
-            .into_iter()
-            .map(Chunk::try_from)
-            .collect::<Result<Vec<_>, _>>()
-            .map_err(|error| Status::internal(error.to_string()))?;
-        if unlimited {
-            self.unlimited_left = self.unlimited_left.saturating_sub(1);
-        } else {
-            self.sampled_steps += u64::from(self.options.sequence_length);
-        }
-        room.send(SampledSequence {
-            chunks,
-            offset: reply.offset,
-            sampled_steps: self.sampled_steps,
-        });
         Ok(())
     }
-}
 
-fn request(kind: Kind) -> SampleRequest {
-    SampleRequest { kind: Some(kind) }
+    /// Returns where nobody listens any more. A missing answer is no reason to give the stream up: keepalive
+    /// watches over it.
+    async fn watch_holdings(&self) {
+        let mut client = self.client.clone();
+        loop {
+            tokio::time::sleep(STATUS_INTERVAL).await;
+            let answer = timeout(STATUS_TIMEOUT, client.status(ReplayStatusRequest {})).await;
+            if let Ok(Ok(status)) = answer
+                && !self.report(Event::Holds(status.into_inner())).await
+            {
+                return;
+            }
+        }
+    }
+
+    /// False where nobody listens any more.
+    async fn report(&self, event: Event) -> bool {
+        self.events
+            .send((self.address.clone(), event))
+            .await
+            .is_ok()
+    }
 }

@@ -1,96 +1,221 @@
 //! Chunks that were handed over but are not durable yet.
+//!
+//! A chunk belongs to no store until it is handed to the transport of one, which numbers it. From then on
+//! nobody can tell whether that store has it until it answers, so the chunk waits for this store and is never
+//! sent to another: what keeps a step from being stored twice.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use isodream_core::Chunk;
-use tokio::sync::{Notify, Semaphore};
+use tokio::sync::watch;
 
-/// A bounded queue, numbered from 0; what is acknowledged leaves it at the front.
+/// How much a spool holds at most before its producer waits, and again for stores that are away.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Bounds {
+    pub(crate) chunks: usize,
+    pub(crate) bytes: usize,
+}
+
+/// A bounded queue in front of one outbox per store.
 #[derive(Debug)]
 pub(crate) struct Spool {
-    chunks: Mutex<Numbered>,
-    room: Semaphore,
-    /// Wakes the sender's task after a push, and waiting flushes after an acknowledgement.
-    pub(crate) pushed: Notify,
-    pub(crate) acknowledged: Notify,
+    bounds: Bounds,
+    inner: Mutex<Inner>,
+    /// Tells everyone who waits that something changed.
+    changes: watch::Sender<()>,
 }
 
 #[derive(Debug, Default)]
-struct Numbered {
-    waiting: VecDeque<Chunk>,
+struct Inner {
+    unsent: VecDeque<Chunk>,
+    outboxes: BTreeMap<String, Outbox>,
+    /// The store that new chunks go to; empty before the first one answers.
+    current: String,
+    acknowledged: u64,
+    closed: bool,
+}
+
+/// What one store was sent and has not acknowledged, numbered from 0.
+#[derive(Debug, Default)]
+struct Outbox {
+    chunks: VecDeque<Chunk>,
     next_seq: u64,
 }
 
+impl Outbox {
+    fn first_seq(&self) -> u64 {
+        self.next_seq - self.chunks.len() as u64
+    }
+}
+
 impl Spool {
-    pub(crate) fn new(capacity: usize) -> Self {
+    pub(crate) fn new(bounds: Bounds) -> Self {
         Self {
-            chunks: Mutex::default(),
-            room: Semaphore::new(capacity.max(1)),
-            pushed: Notify::new(),
-            acknowledged: Notify::new(),
+            bounds,
+            inner: Mutex::default(),
+            changes: watch::Sender::new(()),
         }
     }
 
-    /// Numbers `chunk` and queues it once there is room. False where the spool is closed.
-    pub(crate) async fn push(&self, mut chunk: Chunk) -> bool {
-        let Ok(permit) = self.room.acquire().await else {
-            return false;
-        };
-        permit.forget();
-        {
-            let mut chunks = self.lock();
-            chunk.seq = chunks.next_seq;
-            chunks.next_seq += 1;
-            chunks.waiting.push_back(chunk);
+    /// Tells about every change from now on.
+    pub(crate) fn changes(&self) -> watch::Receiver<()> {
+        self.changes.subscribe()
+    }
+
+    /// Queues `chunk` once there is room. False where the spool is closed.
+    pub(crate) async fn push(&self, chunk: Chunk) -> bool {
+        let mut changes = self.changes();
+        loop {
+            changes.borrow_and_update();
+            {
+                let mut inner = self.lock();
+                if inner.closed {
+                    return false;
+                }
+                if inner.has_room(self.bounds, chunk.payload.len()) {
+                    inner.unsent.push_back(chunk);
+                    break;
+                }
+            }
+            // The sender lives as long as this spool.
+            let _ = changes.changed().await;
         }
-        self.pushed.notify_one();
+        self.changes.send_replace(());
         true
     }
 
-    /// The chunk numbered `seq`, if it was pushed and is not acknowledged.
-    pub(crate) fn get(&self, seq: u64) -> Option<Chunk> {
-        let chunks = self.lock();
-        let index = seq.checked_sub(chunks.first_seq())?;
-        chunks.waiting.get(usize::try_from(index).ok()?).cloned()
-    }
-
-    /// Drops everything below `durable_seq`.
-    pub(crate) fn acknowledge(&self, durable_seq: u64) {
-        let mut chunks = self.lock();
-        let count = durable_seq
-            .saturating_sub(chunks.first_seq())
-            .min(chunks.waiting.len() as u64) as usize;
-        chunks.waiting.drain(..count);
-        drop(chunks);
-        if count > 0 {
-            self.room.add_permits(count);
-            self.acknowledged.notify_waiters();
+    /// New chunks go to `store` from now on. Chunks of other stores stay within the bounds: beyond them the
+    /// oldest are given up. Returns how many were.
+    pub(crate) fn turn_to(&self, store: &str) -> usize {
+        let mut inner = self.lock();
+        if inner.current == store {
+            return 0;
         }
+        store.clone_into(&mut inner.current);
+        inner.give_up_beyond(self.bounds)
     }
 
-    /// Everything below it was acknowledged.
-    pub(crate) fn acknowledged_seq(&self) -> u64 {
-        self.lock().first_seq()
+    /// Chunk `seq` of `store`, if it is not acknowledged. With `take`, the next one that was not sent anywhere
+    /// becomes the store's where it is the one asked for.
+    pub(crate) fn get(&self, store: &str, seq: u64, take: bool) -> Option<Chunk> {
+        let mut guard = self.lock();
+        let inner = &mut *guard;
+        let outbox = inner.outboxes.entry(store.to_owned()).or_default();
+        let index = seq.checked_sub(outbox.first_seq())?;
+        if take
+            && seq == outbox.next_seq
+            && let Some(mut chunk) = inner.unsent.pop_front()
+        {
+            chunk.seq = seq;
+            outbox.next_seq += 1;
+            outbox.chunks.push_back(chunk);
+        }
+        outbox.chunks.get(usize::try_from(index).ok()?).cloned()
+    }
+
+    /// Drops everything of `store` below `durable_seq`.
+    ///
+    /// # Errors
+    /// Where the store has more than it was sent.
+    pub(crate) fn acknowledge(&self, store: &str, durable_seq: u64) -> Result<(), String> {
+        let mut inner = self.lock();
+        let outbox = inner.outboxes.entry(store.to_owned()).or_default();
+        if durable_seq > outbox.next_seq {
+            return Err(format!(
+                "the server has {durable_seq} chunks of this actor, which sent {}: another process uses its id; stop one of them",
+                outbox.next_seq
+            ));
+        }
+        let count = durable_seq.saturating_sub(outbox.first_seq());
+        outbox.chunks.drain(..count as usize);
+        inner.acknowledged += count;
+        drop(inner);
+        if count > 0 {
+            self.changes.send_replace(());
+        }
+        Ok(())
+    }
+
+    /// Everything of `store` below it was acknowledged (or given up).
+    pub(crate) fn first_seq(&self, store: &str) -> u64 {
+        self.lock().outboxes.get(store).map_or(0, Outbox::first_seq)
+    }
+
+    /// Whether `store` was sent something that it did not acknowledge.
+    pub(crate) fn owes(&self, store: &str) -> bool {
+        let inner = self.lock();
+        let outbox = inner.outboxes.get(store);
+        outbox.is_some_and(|outbox| !outbox.chunks.is_empty())
+    }
+
+    /// Chunks that were acknowledged.
+    pub(crate) fn acknowledged(&self) -> u64 {
+        self.lock().acknowledged
     }
 
     pub(crate) fn len(&self) -> usize {
-        self.lock().waiting.len()
+        let inner = self.lock();
+        let sent: usize = inner
+            .outboxes
+            .values()
+            .map(|outbox| outbox.chunks.len())
+            .sum();
+        inner.unsent.len() + sent
     }
 
-    /// Wakes and refuses everyone who waits for room; what is queued stays.
+    /// Refuses everyone who waits for room; what is queued stays.
     pub(crate) fn close(&self) {
-        self.room.close();
-        self.acknowledged.notify_waiters();
+        self.lock().closed = true;
+        self.changes.send_replace(());
     }
 
-    fn lock(&self) -> MutexGuard<'_, Numbered> {
-        self.chunks.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, Inner> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Numbered {
-    fn first_seq(&self) -> u64 {
-        self.next_seq - self.waiting.len() as u64
+impl Inner {
+    /// Whether a chunk of `bytes` fits; one always does where there is nothing.
+    fn has_room(&self, bounds: Bounds, bytes: usize) -> bool {
+        let sent = self.outboxes.get(&self.current);
+        let held = self
+            .unsent
+            .iter()
+            .chain(sent.iter().flat_map(|outbox| &outbox.chunks));
+        let (chunks, held_bytes) = size(held);
+        chunks == 0 || (chunks < bounds.chunks && held_bytes + bytes <= bounds.bytes)
+    }
+
+    fn give_up_beyond(&mut self, bounds: Bounds) -> usize {
+        let mut given_up = 0;
+        loop {
+            let away = || {
+                self.outboxes
+                    .iter()
+                    .filter(|(store, _)| **store != self.current)
+            };
+            let (chunks, bytes) = size(away().flat_map(|(_, outbox)| &outbox.chunks));
+            if chunks <= bounds.chunks.max(1) && (bytes <= bounds.bytes || chunks <= 1) {
+                return given_up;
+            }
+            let current = &self.current;
+            let mut others = self
+                .outboxes
+                .iter_mut()
+                .filter(|(store, _)| *store != current);
+            given_up += usize::from(others.any(|(_, outbox)| outbox.chunks.pop_front().is_some()));
+        }
     }
 }
+
+/// Chunks and payload bytes.
+fn size<'a>(chunks: impl Iterator<Item = &'a Chunk>) -> (usize, usize) {
+    chunks.fold((0, 0), |(count, bytes), chunk| {
+        (count + 1, bytes + chunk.payload.len())
+    })
+}
+
+#[cfg(test)]
+#[path = "spool_tests.rs"]
+mod tests;

@@ -178,6 +178,7 @@ impl Config {
             ("replay.segment_bytes", self.replay.segment_bytes as f64),
             ("actor.environments", self.actor.environments as f64),
             ("actor.spool_chunks", self.actor.spool_chunks as f64),
+            ("actor.spool_mb", self.actor.spool_mb as f64),
             (
                 "actor.evaluate_episodes",
                 f64::from(self.actor.evaluate_episodes),

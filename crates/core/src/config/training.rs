@@ -175,6 +175,8 @@ pub struct ActorConfig {
     pub environments: usize,
     /// Chunks an actor holds unacknowledged before it pauses its environments.
     pub spool_chunks: usize,
+    /// The same in MB of chunks as they are encoded; a single chunk always has room.
+    pub spool_mb: usize,
     /// Environment frames between two evaluations.
     pub evaluate_interval_frames: u64,
     /// Episodes of one evaluation.
@@ -189,6 +191,7 @@ impl Default for ActorConfig {
             collectors: 2,
             environments: 1,
             spool_chunks: 8,
+            spool_mb: 64,
             evaluate_interval_frames: 5_000,
             evaluate_episodes: 1,
             threads: 1,

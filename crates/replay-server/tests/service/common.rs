@@ -1,5 +1,6 @@
 //! A real server on loopback, in a runtime of its own so that it can die at any await point.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -122,24 +123,29 @@ pub(crate) fn identity(id: &str) -> Identity {
 }
 
 pub(crate) fn actor(address: &str, epoch: u64, spool_chunks: usize) -> AppendClient {
-    AppendClient::start(AppendOptions {
-        address: address.to_owned(),
+    AppendClient::start(appending(address, epoch, spool_chunks)).unwrap()
+}
+
+pub(crate) fn appending(address: &str, epoch: u64, spool_chunks: usize) -> AppendOptions {
+    AppendOptions {
+        addresses: vec![address.to_owned()],
         identity: identity("highway/day"),
         actor_id: "actor-0".into(),
         epoch,
         spool_chunks,
-    })
-    .unwrap()
+        spool_bytes: usize::MAX,
+        failover_after: isodream_rpc::limits::FAILOVER_AFTER,
+    }
 }
 
 pub(crate) fn sampling(address: &str, sequence_length: u32) -> SampleOptions {
     SampleOptions {
-        address: address.to_owned(),
+        addresses: vec![address.to_owned()],
         identity: identity("highway/day"),
         sequence_length,
         seed: 1,
         prefetch: 4,
-        sampled_steps: 0,
+        sampled_steps: BTreeMap::new(),
         unlimited_sequences: 0,
     }
 }

@@ -19,7 +19,7 @@ fn what_is_acknowledged_is_sampled_byte_for_byte() {
         }
         actor.flush(DEADLINE).await.unwrap();
         assert_eq!(actor.unacknowledged(), 0);
-        assert_eq!(actor.acknowledged_seq(), 20);
+        assert_eq!(actor.acknowledged_chunks(), 20);
         assert_eq!(actor.waiting(), None);
 
         let mut learner = learner(&server.address, 25);
@@ -78,10 +78,10 @@ fn a_server_that_dies_again_and_again_keeps_every_acknowledged_chunk_exactly_onc
         for death in 1..=4 {
             // With chunks on their way: the spool is full while the server lives.
             let since = Instant::now();
-            while actor.acknowledged_seq() < death * CHUNKS / 8 && since.elapsed() < DEADLINE {
+            while actor.acknowledged_chunks() < death * CHUNKS / 8 && since.elapsed() < DEADLINE {
                 std::thread::sleep(Duration::from_millis(1));
             }
-            let acknowledged = actor.acknowledged_seq();
+            let acknowledged = actor.acknowledged_chunks();
             server.kill();
             server = Server::start_on(&address, folder.path(), NO_LIMIT);
             let inserted = runtime.block_on(inserted_steps(&address));
@@ -118,7 +118,7 @@ impl Drop for CloseOnDrop<'_> {
     }
 }
 
-async fn inserted_steps(address: &str) -> u64 {
+pub(crate) async fn inserted_steps(address: &str) -> u64 {
     let mut client = isodream_rpc::replay_client(address).unwrap();
     client
         .status(ReplayStatusRequest {})

@@ -5,3 +5,4 @@
 mod common;
 mod experience;
 mod refusals;
+mod shards;

@@ -2,7 +2,9 @@
 
 use std::time::{Duration, Instant};
 
-use crate::common::{DEADLINE, NO_LIMIT, Server, actor, chunk, identity, learner, sampling, until};
+use crate::common::{
+    DEADLINE, NO_LIMIT, Server, actor, appending, chunk, identity, learner, sampling, until,
+};
 use isodream_proto::v1::{AppendRequest, Hello, append_request::Kind};
 use isodream_replay::LimiterOptions;
 use isodream_rpc::{AppendClient, AppendOptions, RpcError, SampleClient};
@@ -19,11 +21,9 @@ fn another_environment_is_refused_by_name() {
         first.flush(DEADLINE).await.unwrap();
 
         let other = AppendClient::start(AppendOptions {
-            address: server.address.clone(),
             identity: identity("walker/walk"),
             actor_id: "actor-1".into(),
-            epoch: 1,
-            spool_chunks: 1,
+            ..appending(&server.address, 1, 1)
         })
         .unwrap();
         other.send(chunk(0)).await.unwrap();
@@ -152,6 +152,7 @@ fn a_gap_is_answered_with_the_expected_number() {
             actor_id: "actor-0".into(),
             epoch: 1,
             acknowledged_seq: 0,
+            store_id: String::new(),
         };
         let numbered = |seq| {
             let mut chunk = chunk(seq);

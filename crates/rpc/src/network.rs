@@ -1,0 +1,100 @@
+//! The seam under all clients of replay: how a server is reached.
+
+use std::io;
+use std::net::SocketAddr;
+use std::pin::Pin;
+
+use tonic::transport::{Channel, Endpoint};
+
+/// The addresses of a name, as they come.
+pub type Resolving = Pin<Box<dyn Future<Output = io::Result<Vec<SocketAddr>>> + Send>>;
+
+/// How clients reach servers: over TCP, or over a simulated network in tests.
+pub trait Network: Send + Sync + 'static {
+    /// A channel that connects at its first call and again after every loss.
+    fn channel(&self, endpoint: &Endpoint) -> Channel;
+
+    /// All addresses of `address` (`host:port`).
+    fn resolve(&self, address: String) -> Resolving;
+}
+
+/// The machine's own network.
+#[derive(Debug, Clone, Copy)]
+pub struct Tcp;
+
+impl Network for Tcp {
+    fn channel(&self, endpoint: &Endpoint) -> Channel {
+        endpoint.connect_lazy()
+    }
+
+    fn resolve(&self, address: String) -> Resolving {
+        Box::pin(async move { Ok(tokio::net::lookup_host(address).await?.collect()) })
+    }
+}
+
+/// `addresses` with every name that stands for several servers replaced by all of them, in a stable order.
+///
+/// A name with one address stays a name, so that it is looked up again at each connection; one that cannot be
+/// resolved stays as well, and connecting to it says why. Of two address families only IPv4 counts, or a
+/// server that listens on both would be two.
+pub(crate) async fn resolve_all(network: &dyn Network, addresses: &[String]) -> Vec<String> {
+    let mut all = Vec::new();
+    for address in addresses {
+        let found = match address.split_once("://") {
+            None => network.resolve(address.clone()).await.unwrap_or_default(),
+            Some(_) => Vec::new(),
+        };
+        let has_v4 = found.iter().any(SocketAddr::is_ipv4);
+        let mut servers: Vec<String> = found
+            .iter()
+            .filter(|found| found.is_ipv4() || !has_v4)
+            .map(ToString::to_string)
+            .collect();
+        servers.sort();
+        servers.dedup();
+        if servers.len() < 2 {
+            servers = vec![address.clone()];
+        }
+        for server in servers {
+            if !all.contains(&server) {
+                all.push(server);
+            }
+        }
+    }
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Names;
+
+    impl Network for Names {
+        fn channel(&self, endpoint: &Endpoint) -> Channel {
+            endpoint.connect_lazy()
+        }
+
+        fn resolve(&self, address: String) -> Resolving {
+            let found: &[&str] = match address.as_str() {
+                "replay:1" => &["10.0.0.2:1", "10.0.0.1:1", "[fd00::1]:1"],
+                "localhost:1" => &["[::1]:1", "127.0.0.1:1"],
+                _ => &[],
+            };
+            let found = found
+                .iter()
+                .filter_map(|found| found.parse().ok())
+                .collect();
+            Box::pin(async move { Ok(found) })
+        }
+    }
+
+    #[tokio::test]
+    async fn names_of_several_servers_are_all_of_them_and_others_stay() {
+        let addresses = ["unknown:1", "replay:1", "localhost:1", "10.0.0.1:1"].map(str::to_owned);
+        assert_eq!(
+            resolve_all(&Names, &addresses).await,
+            ["unknown:1", "10.0.0.1:1", "10.0.0.2:1", "localhost:1"]
+        );
+    }
+}

@@ -1,0 +1,316 @@
+//! The task behind a [`crate::SampleClient`]: one stream of sequences out of all replay-servers.
+//!
+//! Each sequence is asked for at a server chosen with the probability of the steps that it holds, out of a
+//! seeded stream of random numbers. A server that is away is left out, and so is one whose limiter makes draws
+//! wait: it keeps one credit, whose sequence says that it is ready again, and gives back the others.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+use isodream_core::{Chunk, derive_seed};
+use isodream_proto::v1::sample_request::Kind;
+use isodream_proto::v1::{ReplayStatus, SampleCredit, SampleHello, SampleReply, SampleRequest};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use tokio::sync::mpsc::{self, OwnedPermit};
+use tokio::task::JoinSet;
+
+use crate::channel::replay_client_over;
+use crate::limits::RESOLVE_INTERVAL;
+use crate::link_state::LinkState;
+use crate::network::resolve_all;
+use crate::sample_link::{Event, SampleLink};
+use crate::sample_watch::SampleWatch;
+use crate::{Network, SampleOptions, SampledSequence};
+
+/// Credits that a server may keep while its limiter makes draws wait.
+const WAITING_CREDITS: u32 = 1;
+
+/// Events between the links and this task at most.
+const EVENTS: usize = 64;
+
+pub(crate) struct SampleMerge {
+    network: Arc<dyn Network>,
+    options: SampleOptions,
+    watch: SampleWatch,
+    sequences: mpsc::Sender<SampledSequence>,
+    /// Room in the channel, one for each sequence that is or will be asked for: credits never exceed it.
+    room: VecDeque<OwnedPermit<SampledSequence>>,
+    servers: BTreeMap<String, Server>,
+    rng: ChaCha8Rng,
+    connections: u64,
+    sampled_steps: BTreeMap<Arc<str>, u64>,
+    unlimited_left: u64,
+}
+
+/// A server that is there.
+struct Server {
+    store_id: Arc<str>,
+    steps: u64,
+    is_waiting: bool,
+    requests: mpsc::Sender<SampleRequest>,
+    /// Credits that are not used up, in the order in which the server serves them: whether each is unlimited.
+    granted: VecDeque<bool>,
+}
+
+impl SampleMerge {
+    pub(crate) fn new(
+        network: Arc<dyn Network>,
+        options: SampleOptions,
+        sequences: mpsc::Sender<SampledSequence>,
+        watch: SampleWatch,
+    ) -> Self {
+        let sampled_steps = options.sampled_steps.iter();
+        Self {
+            network,
+            sequences,
+            watch,
+            room: VecDeque::new(),
+            servers: BTreeMap::new(),
+            rng: ChaCha8Rng::seed_from_u64(derive_seed(options.seed, &["servers"])),
+            connections: 0,
+            sampled_steps: sampled_steps
+                .map(|(store, steps)| (store.as_str().into(), *steps))
+                .collect(),
+            unlimited_left: options.unlimited_sequences,
+            options,
+        }
+    }
+
+    /// Returns only when a server refuses for good or nobody listens any more.
+    pub(crate) async fn run(mut self) {
+        let (events, mut reports) = mpsc::channel(EVENTS);
+        let mut links = JoinSet::new();
+        let mut linked = Vec::new();
+        let (found, mut looked_up) = mpsc::channel(1);
+        links.spawn(look_up(
+            self.network.clone(),
+            self.options.addresses.clone(),
+            found,
+        ));
+        loop {
+            self.grant();
+            tokio::select! {
+                Some((address, event)) = reports.recv() => {
+                    if let Event::Refused(error) = event {
+                        self.watch.end(error);
+                        return;
+                    }
+                    self.happened(address, event);
+                },
+                room = self.sequences.clone().reserve_owned() => match room {
+                    Ok(room) => self.room.push_back(room),
+                    Err(_) => return,
+                },
+                Some(addresses) = looked_up.recv() => {
+                    for address in addresses {
+                        if !linked.contains(&address) && let Some(link) = self.link(&address, &events) {
+                            links.spawn(link.run());
+                            linked.push(address);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    fn link(&self, address: &str, events: &mpsc::Sender<(String, Event)>) -> Option<SampleLink> {
+        let state = Arc::new(LinkState::new(address));
+        let client = replay_client_over(self.network.as_ref(), address).ok()?;
+        self.watch.add(state.clone());
+        Some(SampleLink {
+            address: address.to_owned(),
+            client,
+            state,
+            // Room for the hello and for as many grants as there can be sequences.
+            requests_ahead: self.sequences.max_capacity() + 1,
+            events: events.clone(),
+        })
+    }
+
+    fn happened(&mut self, address: String, event: Event) {
+        match event {
+            Event::Found {
+                status,
+                requests,
+                answer,
+            } => {
+                let _ = answer.send(self.found(address, status, requests));
+            }
+            Event::Reply(reply) => {
+                if let Err(reason) = self.replied(&address, reply) {
+                    tracing::warn!(address, reason, "dropped a replay-server's stream");
+                    // Its link notices that the requests ended.
+                    self.servers.remove(&address);
+                }
+            }
+            Event::Holds(status) => {
+                self.watch.holds(&status);
+                if let Some(server) = self.servers.get_mut(&address) {
+                    server.steps = status.steps;
+                }
+            }
+            Event::Lost | Event::Refused(_) => {
+                self.servers.remove(&address);
+            }
+        }
+    }
+
+    /// Greets a server, unless its store is connected already.
+    fn found(
+        &mut self,
+        address: String,
+        status: ReplayStatus,
+        requests: mpsc::Sender<SampleRequest>,
+    ) -> bool {
+        self.watch.holds(&status);
+        let store_id: Arc<str> = status.store_id.into();
+        let mut servers = self.servers.values();
+        if servers.any(|server| server.store_id == store_id) {
+            return false;
+        }
+        let sampled_steps = self.sampled_steps.get(&store_id).copied().unwrap_or(0);
+        // A new stream of draws per connection, or every reconnection would repeat the first sequences.
+        let path = [sampled_steps.to_string(), self.connections.to_string()];
+        self.connections += 1;
+        let hello = SampleHello {
+            handshake: Some(self.options.identity.handshake()),
+            sequence_length: self.options.sequence_length,
+            sampled_steps,
+            seed: derive_seed(self.options.seed, &["sample", &path[0], &path[1]]),
+            store_id: store_id.to_string(),
+            waiting_credits: WAITING_CREDITS,
+        };
+        // Room is certain: the queue is new.
+        let _ = requests.try_send(request(Kind::Hello(hello)));
+        let server = Server {
+            store_id,
+            steps: status.steps,
+            is_waiting: false,
+            requests,
+            granted: VecDeque::new(),
+        };
+        self.servers.insert(address, server);
+        true
+    }
+
+    /// Grants a credit for every place in the channel that has none yet.
+    fn grant(&mut self) {
+        while let Ok(room) = self.sequences.clone().try_reserve_owned() {
+            self.room.push_back(room);
+        }
+        let granted = self.servers.values().flat_map(|server| &server.granted);
+        let (count, unlimited) = granted.fold((0, 0_u64), |(count, unlimited), is_unlimited| {
+            (count + 1, unlimited + u64::from(*is_unlimited))
+        });
+        let mut unlimited_left = self.unlimited_left.saturating_sub(unlimited);
+        let mut credits = BTreeMap::<_, u32>::new();
+        for _ in count..self.room.len() {
+            let Some(address) = self.choose() else {
+                break;
+            };
+            let is_unlimited = unlimited_left > 0;
+            unlimited_left -= u64::from(is_unlimited);
+            // Unlimited ones are granted, and so served, first.
+            *credits.entry((!is_unlimited, address)).or_default() += 1;
+        }
+        for ((is_limited, address), sequences) in credits {
+            let Some(server) = self.servers.get_mut(&address) else {
+                continue;
+            };
+            let credit = SampleCredit {
+                sequences,
+                unlimited: !is_limited,
+            };
+            if server
+                .requests
+                .try_send(request(Kind::Credit(credit)))
+                .is_ok()
+            {
+                let granted = std::iter::repeat_n(!is_limited, sequences as usize);
+                server.granted.extend(granted);
+            }
+        }
+    }
+
+    /// A server that makes nobody wait, by the steps that it holds.
+    fn choose(&mut self) -> Option<String> {
+        // One that holds nothing yet is asked too, and says what it waits for.
+        let ready = || {
+            let servers = self.servers.iter().filter(|(_, server)| !server.is_waiting);
+            servers.map(|(address, server)| (address, server.steps.max(1)))
+        };
+        let total: u64 = ready().map(|(_, steps)| steps).sum();
+        if total == 0 {
+            return None;
+        }
+        let mut drawn = self.rng.random_range(0..total);
+        for (address, steps) in ready() {
+            if drawn < steps {
+                return Some(address.clone());
+            }
+            drawn -= steps;
+        }
+        None
+    }
+
+    fn replied(&mut self, address: &str, reply: SampleReply) -> Result<(), String> {
+        let Some(server) = self.servers.get_mut(address) else {
+            // What was on its way when its stream was dropped.
+            return Ok(());
+        };
+        server.is_waiting = !reply.waiting.is_empty();
+        for _ in 0..reply.returned_credits {
+            server.granted.pop_back();
+        }
+        if reply.chunks.is_empty() {
+            return Ok(());
+        }
+        let too_many = "it sent more sequences than it was asked for";
+        let unlimited = server.granted.pop_front().ok_or(too_many)?;
+        let chunks = reply
+            .chunks
+            .into_iter()
+            .map(Chunk::try_from)
+            .collect::<Result<Vec<_>, _>>()
+            .map_err(|error| error.to_string())?;
+        let room = self.room.pop_front().ok_or(too_many)?;
+        let store_id = server.store_id.clone();
+        let sampled_steps = self.sampled_steps.entry(store_id.clone()).or_default();
+        if unlimited {
+            self.unlimited_left = self.unlimited_left.saturating_sub(1);
+        } else {
+            *sampled_steps += u64::from(self.options.sequence_length);
+        }
+        room.send(SampledSequence {
+            chunks,
+            offset: reply.offset,
+            store_id,
+            sampled_steps: *sampled_steps,
+        });
+        Ok(())
+    }
+}
+
+/// Tells again and again which servers `addresses` stand for.
+async fn look_up(
+    network: Arc<dyn Network>,
+    addresses: Vec<String>,
+    found: mpsc::Sender<Vec<String>>,
+) {
+    while found
+        .send(resolve_all(network.as_ref(), &addresses).await)
+        .await
+        .is_ok()
+    {
+        tokio::time::sleep(RESOLVE_INTERVAL).await;
+    }
+}
+
+fn request(kind: Kind) -> SampleRequest {
+    SampleRequest { kind: Some(kind) }
+}
+
+#[cfg(test)]
+#[path = "sample_merge_tests.rs"]
+mod tests;

@@ -1,0 +1,189 @@
+use isodream_proto::Identity;
+
+use super::*;
+use crate::Tcp;
+
+const PREFETCH: usize = 40;
+
+struct Bench {
+    merge: SampleMerge,
+    sequences: mpsc::Receiver<SampledSequence>,
+    requests: BTreeMap<&'static str, mpsc::Receiver<SampleRequest>>,
+}
+
+impl Bench {
+    fn new(unlimited_sequences: u64) -> Self {
+        let options = SampleOptions {
+            addresses: vec!["a:1".into(), "b:1".into()],
+            identity: Identity {
+                env_spec_hash: "hash".into(),
+                env_spec: "spec".into(),
+                model_hash: String::new(),
+            },
+            sequence_length: 5,
+            seed: 1,
+            prefetch: PREFETCH,
+            sampled_steps: BTreeMap::from([("store-a".to_owned(), 100)]),
+            unlimited_sequences,
+        };
+        let (sender, sequences) = mpsc::channel(PREFETCH);
+        Self {
+            merge: SampleMerge::new(Arc::new(Tcp), options, sender, SampleWatch::default()),
+            sequences,
+            requests: BTreeMap::new(),
+        }
+    }
+
+    /// Whether the merge wants the server; its hello is returned as well.
+    fn found(&mut self, name: &'static str, store: &str, steps: u64) -> Option<SampleHello> {
+        let (requests, mut received) = mpsc::channel(PREFETCH + 1);
+        let status = ReplayStatus {
+            steps,
+            inserted_steps: 2 * steps,
+            store_id: store.to_owned(),
+            ..ReplayStatus::default()
+        };
+        let wanted = self.merge.found(name.to_owned(), status, requests);
+        let Ok(SampleRequest {
+            kind: Some(Kind::Hello(hello)),
+        }) = received.try_recv()
+        else {
+            assert!(!wanted);
+            return None;
+        };
+        self.requests.insert(name, received);
+        wanted.then_some(hello)
+    }
+
+    /// Credits that came to a server since the last call: limited, unlimited.
+    fn credits(&mut self, name: &str) -> (u32, u32) {
+        self.merge.grant();
+        let mut sum = (0, 0);
+        let received = self.requests.get_mut(name).expect("found before");
+        while let Ok(request) = received.try_recv() {
+            match request.kind {
+                Some(Kind::Credit(credit)) if credit.unlimited => sum.1 += credit.sequences,
+                Some(Kind::Credit(credit)) => sum.0 += credit.sequences,
+                other => panic!("{other:?}"),
+            }
+        }
+        sum
+    }
+
+    fn serve(&mut self, name: &str) {
+        let chunk = isodream_proto::v1::Chunk {
+            steps: 5,
+            ..Default::default()
+        };
+        let reply = SampleReply {
+            chunks: vec![chunk],
+            ..SampleReply::default()
+        };
+        self.merge.replied(name, reply).expect("asked for");
+    }
+
+    fn wait(&mut self, name: &str, returned_credits: u32) {
+        let reply = SampleReply {
+            waiting: "the actors are behind".into(),
+            returned_credits,
+            ..SampleReply::default()
+        };
+        self.merge.replied(name, reply).expect("no sequence");
+    }
+}
+
+#[tokio::test]
+async fn draws_go_to_the_servers_in_proportion_to_what_they_hold() {
+    let mut bench = Bench::new(0);
+    bench.found("a", "store-a", 3_000).expect("wanted");
+    bench.found("b", "store-b", 1_000).expect("wanted");
+    let mut asked = BTreeMap::from([("a", 0_u32), ("b", 0)]);
+    for _ in 0..200 {
+        for name in ["a", "b"] {
+            let (credits, _) = bench.credits(name);
+            *asked.get_mut(name).expect("listed") += credits;
+            for _ in 0..credits {
+                bench.serve(name);
+                bench.sequences.try_recv().expect("served");
+            }
+        }
+    }
+    let share = f64::from(asked["a"]) / f64::from(asked["a"] + asked["b"]);
+    assert!(asked["a"] + asked["b"] > 4000, "{asked:?}");
+    // Four standard deviations of 4000 draws.
+    assert!((share - 0.75).abs() < 0.028, "{asked:?}");
+    assert_eq!(bench.merge.watch.inserted_steps(), 8_000);
+}
+
+#[tokio::test]
+async fn a_waiting_server_keeps_one_credit_and_the_others_are_spent_elsewhere() {
+    let mut bench = Bench::new(0);
+    bench.found("a", "store-a", 1_000).expect("wanted");
+    bench.found("b", "store-b", 1_000).expect("wanted");
+    let (at_a, at_b) = (bench.credits("a").0, bench.credits("b").0);
+    assert_eq!(at_a + at_b, PREFETCH as u32);
+    bench.wait("a", at_a - 1);
+    assert_eq!(bench.credits("b").0, at_a - 1);
+    assert_eq!(bench.credits("a").0, 0);
+    bench.wait("b", at_a + at_b - 2);
+    assert_eq!(bench.credits("a").0 + bench.credits("b").0, 0, "all wait");
+    bench.serve("a");
+    assert_eq!(
+        bench.credits("a").0,
+        PREFETCH as u32 - 2,
+        "one is taken, one is at b"
+    );
+}
+
+#[tokio::test]
+async fn every_store_has_its_count_and_only_limited_draws_count() {
+    let mut bench = Bench::new(1);
+    let hello = bench.found("a", "store-a", 1).expect("wanted");
+    assert_eq!(
+        (hello.sampled_steps, hello.store_id.as_str()),
+        (100, "store-a")
+    );
+    assert_eq!(bench.credits("a"), (PREFETCH as u32 - 1, 1));
+    let mut counts = Vec::new();
+    for _ in 0..3 {
+        bench.serve("a");
+        counts.push(bench.sequences.try_recv().expect("served").sampled_steps);
+    }
+    assert_eq!(counts, [100, 105, 110]);
+    bench.merge.happened("a".into(), Event::Lost);
+    let hello = bench.found("b", "store-b", 1).expect("wanted");
+    assert_eq!(hello.sampled_steps, 0);
+    assert_eq!(
+        bench.credits("b"),
+        (PREFETCH as u32, 0),
+        "what was lost is asked again"
+    );
+    bench.serve("b");
+    let sequence = bench.sequences.try_recv().expect("served");
+    assert_eq!(
+        (&*sequence.store_id, sequence.sampled_steps),
+        ("store-b", 5)
+    );
+    let hello = bench.found("a", "store-a", 1).expect("wanted");
+    assert_eq!(hello.sampled_steps, 110, "kept while it was away");
+}
+
+#[tokio::test]
+async fn a_store_at_two_addresses_is_drawn_from_once() {
+    let mut bench = Bench::new(0);
+    assert!(bench.found("a", "store-a", 1).is_some());
+    assert!(bench.found("b", "store-a", 1).is_none());
+}
+
+#[tokio::test]
+async fn a_server_that_sends_unasked_is_dropped() {
+    let mut bench = Bench::new(0);
+    bench.found("a", "store-a", 1).expect("wanted");
+    let reply = SampleReply {
+        chunks: vec![isodream_proto::v1::Chunk::default()],
+        ..SampleReply::default()
+    };
+    bench.merge.happened("a".into(), Event::Reply(reply));
+    assert!(bench.merge.servers.is_empty());
+    assert!(bench.sequences.try_recv().is_err());
+}

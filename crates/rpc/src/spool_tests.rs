@@ -1,0 +1,97 @@
+use std::time::Duration;
+
+use super::*;
+
+const BOUNDS: Bounds = Bounds {
+    chunks: 3,
+    bytes: 100,
+};
+
+fn chunk(step: u32, bytes: usize) -> Chunk {
+    Chunk {
+        actor_id: "actor".into(),
+        epoch: 1,
+        seq: 0,
+        episode_id: 1,
+        first_step: step,
+        steps: 1,
+        ends_episode: false,
+        payload: vec![0; bytes].into(),
+    }
+}
+
+/// Whether the chunk found room at once.
+async fn pushed(spool: &Spool, step: u32, bytes: usize) -> bool {
+    tokio::time::timeout(Duration::ZERO, spool.push(chunk(step, bytes)))
+        .await
+        .is_ok()
+}
+
+fn sent(spool: &Spool, store: &str, seq: u64) -> Option<(u64, u32)> {
+    let chunk = spool.get(store, seq, true)?;
+    Some((chunk.seq, chunk.first_step))
+}
+
+#[tokio::test]
+async fn it_is_bounded_in_chunks_and_in_bytes_and_takes_one_chunk_of_any_size() {
+    let spool = Spool::new(BOUNDS);
+    for step in 0..3 {
+        assert!(pushed(&spool, step, 1).await);
+    }
+    assert!(!pushed(&spool, 3, 1).await, "three chunks are all");
+    let spool = Spool::new(BOUNDS);
+    assert!(pushed(&spool, 0, 60).await);
+    assert!(!pushed(&spool, 1, 41).await, "100 bytes are all");
+    assert!(pushed(&spool, 1, 40).await);
+    let spool = Spool::new(BOUNDS);
+    assert!(pushed(&spool, 0, 1000).await, "or it would wait for ever");
+    assert!(!pushed(&spool, 1, 1).await);
+    assert!(sent(&spool, "a", 0).is_some());
+    spool.turn_to("a");
+    spool.acknowledge("a", 1).expect("sent");
+    assert!(pushed(&spool, 1, 1).await);
+}
+
+#[tokio::test]
+async fn what_one_store_was_sent_is_never_sent_to_another() {
+    let spool = Spool::new(BOUNDS);
+    for step in 0..3 {
+        assert!(pushed(&spool, step, 1).await);
+    }
+    spool.turn_to("a");
+    assert_eq!(sent(&spool, "a", 0), Some((0, 0)));
+    assert_eq!(sent(&spool, "a", 1), Some((1, 1)));
+    assert_eq!(spool.turn_to("b"), 0);
+    assert!(spool.owes("a"));
+    assert_eq!(sent(&spool, "b", 0), Some((0, 2)), "numbered by store");
+    assert_eq!(sent(&spool, "b", 1), None);
+    assert_eq!(sent(&spool, "a", 1), Some((1, 1)), "kept for its store");
+    assert!(
+        pushed(&spool, 3, 1).await,
+        "a store that is away holds nobody up"
+    );
+    spool.acknowledge("a", 2).expect("sent");
+    spool.acknowledge("b", 1).expect("sent");
+    assert_eq!((spool.len(), spool.acknowledged()), (1, 3));
+    assert!(spool.acknowledge("b", 2).is_err(), "never sent");
+}
+
+#[tokio::test]
+async fn stores_that_stay_away_cost_a_bounded_number_of_chunks() {
+    let spool = Spool::new(BOUNDS);
+    let mut given_up = 0;
+    for round in 0..10_u32 {
+        let store = format!("store-{round}");
+        given_up += spool.turn_to(&store);
+        for step in 0..2 {
+            assert!(pushed(&spool, step, 1).await);
+            assert!(sent(&spool, &store, step.into()).is_some());
+        }
+    }
+    assert_eq!(
+        spool.len(),
+        3 + 2,
+        "the bound for those away, and the current store's"
+    );
+    assert_eq!(given_up, 20 - 5);
+}
