@@ -20,7 +20,9 @@ use isodream_replay::{LimiterOptions, Store, StoreOptions};
 use isodream_rpc::limits::MAX_MESSAGE_BYTES;
 use tokio::net::TcpListener;
 use tokio::sync::mpsc;
+use tokio_stream::Stream;
 use tokio_util::sync::CancellationToken;
+use tonic::transport::server::TcpIncoming;
 
 use crate::commit::Committer;
 use crate::service::ReplayServer;
@@ -51,6 +53,23 @@ pub async fn serve(
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> anyhow::Result<()> {
+    let address = listener
+        .local_addr()
+        .context("the listener has no address")?;
+    tracing::info!(%address, "listening");
+    let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
+    serve_connections(options, incoming, shutdown).await
+}
+
+/// [`serve`] for connections from anywhere, for example a simulated network.
+///
+/// # Errors
+/// As [`serve`].
+pub async fn serve_connections<C: isodream_rpc::Connection>(
+    options: ServerOptions,
+    incoming: impl Stream<Item = std::io::Result<C>>,
+    shutdown: CancellationToken,
+) -> anyhow::Result<()> {
     let (folder, store_options) = (options.folder.clone(), options.store.clone());
     let (writer, store, recovery) =
         tokio::task::spawn_blocking(move || Store::open(&folder, &store_options))
@@ -59,7 +78,6 @@ pub async fn serve(
     let stats = store.stats();
     tracing::info!(
         folder = %options.folder.display(),
-        address = %listener.local_addr().context("the listener has no address")?,
         steps = stats.steps,
         episodes = stats.episodes,
         inserted_steps = stats.inserted_steps,
@@ -95,7 +113,7 @@ pub async fn serve(
     let router = isodream_rpc::server()
         .add_service(isodream_rpc::serving::<ReplayServiceServer<ReplayServer>>().await)
         .add_service(service);
-    let served = isodream_rpc::serve(router, listener, stop.clone());
+    let served = isodream_rpc::serve_connections(router, incoming, stop.clone());
     tokio::pin!(served);
     let result = tokio::select! {
         result = &mut served => {

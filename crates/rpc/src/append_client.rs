@@ -44,7 +44,8 @@ pub struct AppendOptions {
 /// [`AppendOptions::failover_after`]; then it sends new chunks to the next, and stays there. Whether a server
 /// that went away stored the last chunks it was sent cannot be known before it is back, so these wait for it
 /// (each store has its own numbers) and are never sent to another: no step is stored twice. They are lost only
-/// if that server never returns while this client lives, and they are never more than one spool.
+/// if that server never returns while this client lives; of all servers that are away, they are never more than
+/// one spool.
 /// An episode that is running at that moment is split, and the second server's part begins in its middle.
 /// Older processes of the same actor are fenced off at the server that the new one uses.
 #[derive(Debug)]
@@ -184,14 +185,18 @@ impl AppendClient {
     /// Waits until everything handed over is durable, at most for `deadline`.
     ///
     /// # Errors
-    /// [`RpcError::NotFlushed`] at the deadline, [`RpcError::Refused`] where the server refused this client.
+    /// [`RpcError::NotFlushed`] at the deadline, [`RpcError::GivenUp`] where servers that went away took chunks
+    /// with them, [`RpcError::Refused`] where the server refused this client.
     pub async fn flush(&self, deadline: Duration) -> Result<(), RpcError> {
         let flushed = async {
             let mut changes = self.spool.changes();
             loop {
                 changes.borrow_and_update();
                 if self.spool.len() == 0 {
-                    return Ok(());
+                    return match self.spool.given_up() {
+                        0 => Ok(()),
+                        chunks => Err(RpcError::GivenUp { chunks }),
+                    };
                 }
                 if let Some(error) = self.failed() {
                     return Err(error);

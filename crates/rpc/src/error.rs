@@ -51,6 +51,14 @@ pub enum RpcError {
         /// The peer's address.
         peer: String,
     },
+    /// Too many replay-servers went away with chunks that they had not acknowledged.
+    #[error(
+        "{chunks} chunks were given up: replay-servers went away before they acknowledged them"
+    )]
+    GivenUp {
+        /// How many.
+        chunks: usize,
+    },
     /// Chunks were still unacknowledged at the deadline.
     #[error("{chunks} chunks were not acknowledged by {peer} within {deadline:?}{}", .why.as_ref().map(|why| format!(": {why}")).unwrap_or_default())]
     NotFlushed {

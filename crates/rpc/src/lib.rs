@@ -38,5 +38,5 @@ pub use error::{RpcError, ServiceError, is_refusal};
 pub use network::{Network, Resolving, Tcp};
 pub use sample_client::{SampleClient, SampleOptions, SampledSequence};
 pub use sample_watch::SampleWatch;
-pub use server::{bind, serve, server, serving};
+pub use server::{Connection, bind, serve, serve_connections, server, serving};
 pub use shutdown::shutdown_on_signal;

@@ -3,11 +3,13 @@
 use std::net::SocketAddr;
 use std::time::Duration;
 
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::TcpListener;
+use tokio_stream::Stream;
 use tokio_util::sync::CancellationToken;
 use tonic::server::NamedService;
 use tonic::transport::Server;
-use tonic::transport::server::{Router, TcpIncoming};
+use tonic::transport::server::{Connected, Router, TcpIncoming};
 use tonic_health::pb::health_server::{Health, HealthServer};
 
 use crate::RpcError;
@@ -15,6 +17,11 @@ use crate::limits::{
     CONNECTION_WINDOW_BYTES, KEEPALIVE_INTERVAL, KEEPALIVE_TIMEOUT, MAX_FRAME_BYTES,
     SHUTDOWN_GRACE, STREAM_WINDOW_BYTES,
 };
+
+/// A connection that a server can serve.
+pub trait Connection: AsyncRead + AsyncWrite + Connected + Unpin + Send + 'static {}
+
+impl<C: AsyncRead + AsyncWrite + Connected + Unpin + Send + 'static> Connection for C {}
 
 /// Listens on `address` (`host:port`; port 0 takes a free one).
 ///
@@ -66,16 +73,28 @@ pub async fn serve(
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), RpcError> {
-    serve_within(router, listener, shutdown, SHUTDOWN_GRACE).await
+    let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
+    serve_connections(router, incoming, shutdown).await
 }
 
-async fn serve_within(
+/// [`serve`] for connections from anywhere, for example a simulated network.
+///
+/// # Errors
+/// [`RpcError::Serve`] where the server fails.
+pub async fn serve_connections<C: Connection>(
     router: Router,
-    listener: TcpListener,
+    incoming: impl Stream<Item = std::io::Result<C>>,
+    shutdown: CancellationToken,
+) -> Result<(), RpcError> {
+    serve_within(router, incoming, shutdown, SHUTDOWN_GRACE).await
+}
+
+async fn serve_within<C: Connection>(
+    router: Router,
+    incoming: impl Stream<Item = std::io::Result<C>>,
     shutdown: CancellationToken,
     grace: Duration,
 ) -> Result<(), RpcError> {
-    let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
     let serving = router.serve_with_incoming_shutdown(incoming, shutdown.clone().cancelled_owned());
     let overdue = async {
         shutdown.cancelled().await;
@@ -117,7 +136,7 @@ mod tests {
         let router = server().add_service(service);
         let running = tokio::spawn(serve_within(
             router,
-            listener,
+            TcpIncoming::from(listener),
             shutdown.clone(),
             Duration::from_millis(200),
         ));

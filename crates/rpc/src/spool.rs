@@ -33,6 +33,7 @@ struct Inner {
     /// The store that new chunks go to; empty before the first one answers.
     current: String,
     acknowledged: u64,
+    given_up: usize,
     closed: bool,
 }
 
@@ -93,7 +94,12 @@ impl Spool {
             return 0;
         }
         store.clone_into(&mut inner.current);
-        inner.give_up_beyond(self.bounds)
+        let given_up = inner.give_up_beyond(self.bounds);
+        inner.given_up += given_up;
+        drop(inner);
+        // What waits for the store before does not take up room any more.
+        self.changes.send_replace(());
+        given_up
     }
 
     /// Chunk `seq` of `store`, if it is not acknowledged. With `take`, the next one that was not sent anywhere
@@ -152,6 +158,11 @@ impl Spool {
     /// Chunks that were acknowledged.
     pub(crate) fn acknowledged(&self) -> u64 {
         self.lock().acknowledged
+    }
+
+    /// Chunks that were given up: whether they are durable is not known.
+    pub(crate) fn given_up(&self) -> usize {
+        self.lock().given_up
     }
 
     pub(crate) fn len(&self) -> usize {

@@ -77,6 +77,23 @@ async fn what_one_store_was_sent_is_never_sent_to_another() {
 }
 
 #[tokio::test]
+async fn turning_to_another_store_lets_a_waiting_producer_go_on() {
+    let spool = std::sync::Arc::new(Spool::new(BOUNDS));
+    spool.turn_to("a");
+    for step in 0..3 {
+        assert!(pushed(&spool, step, 1).await);
+        assert!(sent(&spool, "a", step.into()).is_some());
+    }
+    let waiting = spool.clone();
+    let producer = tokio::spawn(async move { waiting.push(chunk(3, 1)).await });
+    tokio::task::yield_now().await;
+    assert!(!producer.is_finished());
+    spool.turn_to("b");
+    let woken = tokio::time::timeout(Duration::from_secs(10), producer).await;
+    assert!(woken.expect("woken").expect("no panic"));
+}
+
+#[tokio::test]
 async fn stores_that_stay_away_cost_a_bounded_number_of_chunks() {
     let spool = Spool::new(BOUNDS);
     let mut given_up = 0;
@@ -93,5 +110,5 @@ async fn stores_that_stay_away_cost_a_bounded_number_of_chunks() {
         3 + 2,
         "the bound for those away, and the current store's"
     );
-    assert_eq!(given_up, 20 - 5);
+    assert_eq!((given_up, spool.given_up()), (20 - 5, 20 - 5));
 }
