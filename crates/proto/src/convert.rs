@@ -5,7 +5,7 @@ use isodream_core::{Chunk, EnvSpec};
 use crate::v1;
 
 /// Version of the protocol in `/proto`; parties of different versions refuse each other.
-pub const PROTOCOL_VERSION: u32 = 2;
+pub const PROTOCOL_VERSION: u32 = 1;
 
 /// A message that cannot be a core type.
 #[derive(Debug, thiserror::Error)]
