@@ -8,7 +8,7 @@ use isodream_proto::v1::{AppendReply, AppendRequest};
 use isodream_rpc::ServiceError;
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
-use tonic::{Status, Streaming};
+use tonic::{Code, Status, Streaming};
 
 use crate::commit::{Command, Submission};
 use crate::state::{Admission, State, stopping};
@@ -110,6 +110,11 @@ async fn tell(
     }
 }
 
+/// Whether a request came and is none: too large, or not of this protocol.
+pub(crate) fn is_unreadable(status: &Status) -> bool {
+    isodream_rpc::is_refusal(status) || status.code() == Code::Internal
+}
+
 struct Reader {
     state: Arc<State>,
     progress: Arc<Progress>,
@@ -134,7 +139,7 @@ impl Reader {
             let request = match requests.message().await {
                 Ok(Some(request)) => request,
                 Ok(None) => return Ok(()),
-                Err(status) if isodream_rpc::is_refusal(&status) => {
+                Err(status) if is_unreadable(&status) => {
                     return Err(ServiceError::Invalid(status.message().to_owned()));
                 }
                 // The connection is gone; nobody reads an answer.

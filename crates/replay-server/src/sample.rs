@@ -11,10 +11,13 @@ use isodream_rpc::ServiceError;
 use tokio::sync::mpsc;
 use tonic::{Status, Streaming};
 
+use crate::append::is_unreadable;
 use crate::state::{State, stopping};
 
 /// Sequences read by one blocking task.
 const READ_GROUP: usize = 8;
+/// Sequences that a peer may have asked for and not received.
+const MAX_CREDITS: u32 = 1 << 16;
 /// Replies handed to the transport ahead of its pace.
 const REPLIES_AHEAD: usize = 4;
 
@@ -82,6 +85,9 @@ impl SampleStream {
             tokio::select! {
                 request = requests.message() => match request {
                     Ok(Some(request)) => self.credit(&request)?,
+                    Err(status) if is_unreadable(&status) => {
+                        return Err(ServiceError::Invalid(status.message().to_owned()));
+                    }
                     Ok(None) | Err(_) => return Ok(()),
                 },
                 () = changed => {}
@@ -95,13 +101,20 @@ impl SampleStream {
                 "a sample stream takes one hello and then credits".to_owned(),
             ));
         };
+        let granted = self.credits.iter().map(|(_, count)| *count).sum::<u32>();
+        if credit.sequences == 0 || credit.sequences > MAX_CREDITS - granted {
+            return Err(ServiceError::Invalid(format!(
+                "a credit of {} sequences beside {granted} granted ones; grant 1 to {MAX_CREDITS} in all",
+                credit.sequences
+            )));
+        }
         let draw = if credit.unlimited {
             Draw::Unlimited
         } else {
             Draw::Limited
         };
         match self.credits.back_mut() {
-            Some((last, count)) if *last == draw => *count = count.saturating_add(credit.sequences),
+            Some((last, count)) if *last == draw => *count += credit.sequences,
             _ => self.credits.push_back((draw, credit.sequences)),
         }
         Ok(())
@@ -197,11 +210,11 @@ impl SampleStream {
     /// Drops the newest credits beyond those that may wait, and counts them.
     fn give_back(&mut self) -> u32 {
         let mut room = self.waiting_credits;
-        let mut returned = 0_u32;
+        let mut returned = 0;
         for (_, count) in &mut self.credits {
             let kept = room.min(*count);
             room -= kept;
-            returned = returned.saturating_add(*count - kept);
+            returned += *count - kept;
             *count = kept;
         }
         self.credits.retain(|(_, count)| *count > 0);

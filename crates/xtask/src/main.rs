@@ -1,4 +1,4 @@
-//! What one types in this repository: `cargo xtask setup | ci | test | demo | bench`.
+//! What one types in this repository: `cargo xtask setup | ci | test | fuzz | demo | bench`.
 //!
 //! Needs neither native libraries nor network to build, because it is what fetches the libraries.
 
@@ -38,6 +38,12 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         args: Vec<String>,
     },
+    /// Feed damaged bytes to every decoder for a while.
+    Fuzz {
+        /// Seconds per decoder.
+        #[arg(long, default_value_t = 60)]
+        seconds: u64,
+    },
     /// Build in release mode and train the quick preset in runs/demo.
     Demo {
         /// Passed on to isodream train.
@@ -74,6 +80,7 @@ fn run_command(command: Command) -> Result<()> {
         Command::Setup { .. } => Ok(()),
         Command::Ci => ci::ci(&root),
         Command::Test { args } => run::test(&root, &args),
+        Command::Fuzz { seconds } => run::fuzz(&root, seconds),
         Command::Demo { args } => run::demo(&root, &args),
         Command::Bench(Bench::Peer(args)) => peer::peer(&root, &args),
     }

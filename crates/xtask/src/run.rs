@@ -39,6 +39,22 @@ pub(crate) fn test(root: &Path, args: &[String]) -> Result<()> {
     Ok(())
 }
 
+/// Feeds damaged bytes to the decoders, each for `seconds`, all at once.
+pub(crate) fn fuzz(root: &Path, seconds: u64) -> Result<()> {
+    let args = [
+        "test",
+        "--release",
+        "--locked",
+        "--package=isodream-replay-server",
+        "--test=fuzz",
+        "--",
+        "--nocapture",
+    ];
+    stage("fuzz", || {
+        run(cargo(root, args).env("ISODREAM_FUZZ_SECONDS", seconds.to_string()))
+    })
+}
+
 /// Builds the release binary and says where it is.
 pub(crate) fn release_binary(root: &Path) -> Result<PathBuf> {
     stage("build", || {

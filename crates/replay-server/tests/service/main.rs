@@ -4,5 +4,6 @@
 
 mod common;
 mod experience;
+mod messages;
 mod refusals;
 mod shards;
