@@ -4,6 +4,7 @@
 
 mod common;
 mod experience;
+mod gaps;
 mod messages;
 mod refusals;
 mod shards;
