@@ -4,12 +4,13 @@ use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use crate::ReplayError;
+use crate::{LogPosition, ReplayError};
 
-const FORMAT: &str = "isodream-replay 1";
+const FORMAT: &str = "isodream-replay 2";
 const FORMAT_FILE: &str = "FORMAT";
 const ID_FILE: &str = "ID";
 const IDENTITY_FILE: &str = "IDENTITY";
+const DURABLE_FILE: &str = "DURABLE";
 const LOCK_FILE: &str = "LOCK";
 
 /// What a store's experience was collected from; two stores of different identity never mix.
@@ -126,6 +127,30 @@ impl Folder {
         self.write_durably(IDENTITY_FILE, text.as_bytes())
     }
 
+    /// A position that everything before it is known to be durable up to; the start where none was noted.
+    pub(crate) fn durable(&self) -> Result<LogPosition, ReplayError> {
+        let path = self.path.join(DURABLE_FILE);
+        match fs::read_to_string(&path) {
+            // A damaged note is worth no more than none: it only tells damage from a torn write.
+            Ok(text) => Ok(parse_position(&text).unwrap_or_default()),
+            Err(error)
+                if matches!(
+                    error.kind(),
+                    io::ErrorKind::NotFound | io::ErrorKind::InvalidData
+                ) =>
+            {
+                Ok(LogPosition::default())
+            }
+            Err(error) => Err(ReplayError::io("read", &path)(error)),
+        }
+    }
+
+    /// Notes that everything before `position` is durable.
+    pub(crate) fn set_durable(&self, position: LogPosition) -> Result<(), ReplayError> {
+        let text = format!("{} {}\n", position.segment, position.offset);
+        self.write_durably(DURABLE_FILE, text.as_bytes())
+    }
+
     /// Makes entries that were added to or removed from the folder durable.
     pub(crate) fn sync(&self) -> Result<(), ReplayError> {
         File::open(&self.path)
@@ -146,6 +171,14 @@ impl Folder {
             .map_err(ReplayError::io("write", &path))?;
         self.sync()
     }
+}
+
+fn parse_position(text: &str) -> Option<LogPosition> {
+    let (segment, offset) = text.strip_suffix('\n')?.split_once(' ')?;
+    Some(LogPosition {
+        segment: segment.parse().ok()?,
+        offset: offset.parse().ok()?,
+    })
 }
 
 #[cfg(test)]
@@ -171,9 +204,9 @@ mod tests {
     #[test]
     fn another_format_is_refused() {
         let folder = tempfile::tempdir().unwrap();
-        fs::write(folder.path().join(FORMAT_FILE), "isodream-replay 2\n").unwrap();
+        fs::write(folder.path().join(FORMAT_FILE), "isodream-replay 1\n").unwrap();
         let error = Folder::open(folder.path()).unwrap_err();
-        assert!(error.to_string().contains("isodream-replay 2"), "{error}");
+        assert!(error.to_string().contains("isodream-replay 1"), "{error}");
     }
 
     #[test]

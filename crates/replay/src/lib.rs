@@ -10,7 +10,8 @@
 //! # What survives what
 //! A chunk that [`StoreWriter::commit`] reported as stored survives a crash of process or machine. It
 //! disappears in three ways only: eviction by [`StoreOptions::capacity_steps`], removal of the folder, or a
-//! damaged record, which is skipped, counted and listed ([`Quarantined`]).
+//! damaged record, which is skipped, counted and listed ([`Quarantined`]): a damaged header when the store is
+//! opened, a damaged payload when it is read.
 
 mod error;
 mod folder;
@@ -19,6 +20,7 @@ mod ledger;
 mod limiter;
 mod log;
 mod record;
+mod recover;
 mod sampler;
 mod scan;
 mod segment;
@@ -30,8 +32,9 @@ pub use folder::StoreIdentity;
 pub use index::{IndexStats, SequenceRef};
 pub use ledger::{Outcome, Progress};
 pub use limiter::{Draw, LimiterOptions, RateLimiter};
-pub use log::{Appended, DurablePosition, LogPosition, LogRecovery, SegmentLog, WrittenPosition};
+pub use log::{Appended, DurablePosition, LogPosition, SegmentLog, WrittenPosition};
 pub use record::{MAX_ACTOR_ID_BYTES, MAX_PAYLOAD_BYTES, Record, Snapshot};
+pub use recover::LogRecovery;
 pub use sampler::Sampler;
 pub use scan::Quarantined;
 pub use segment::ChunkRef;

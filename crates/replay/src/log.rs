@@ -9,14 +9,11 @@ use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::sync::Arc;
 
-use bytes::Bytes;
-use isodream_core::Chunk;
-
+use crate::ReplayError;
 use crate::folder::Folder;
 use crate::record::{self, Record, Snapshot};
-use crate::scan::{self, Piece, Quarantined};
+use crate::recover::{self, LogRecovery, Recovered};
 use crate::segment::{ChunkRef, Segment};
-use crate::{Progress, ReplayError};
 
 /// A place in the log.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -42,24 +39,6 @@ pub struct Appended {
     pub chunks: Vec<ChunkRef>,
     /// The new end of the log.
     pub written: WrittenPosition,
-}
-
-/// What opening a log found.
-#[derive(Debug, Default)]
-pub struct LogRecovery {
-    /// Segments read.
-    pub segments: usize,
-    /// Bytes cut from the end of the last segment: a write that a crash interrupted.
-    pub torn_bytes: u64,
-    /// Damaged stretches elsewhere.
-    pub quarantined: Vec<Quarantined>,
-}
-
-/// A stored record, met while opening a log.
-pub(crate) enum Recovered {
-    Chunk(Chunk, ChunkRef),
-    Snapshot(Snapshot),
-    Progress(Progress),
 }
 
 /// The log of one folder. It holds the folder's lock for as long as it lives.
@@ -93,113 +72,18 @@ impl SegmentLog {
         segment_bytes: u64,
         visit: &mut dyn FnMut(Recovered),
     ) -> Result<(Self, LogRecovery), ReplayError> {
-        let numbers = list_segments(folder.path())?;
-        let last_number = numbers.last().copied().unwrap_or(0);
-        let mut log = Self {
+        let found = recover::recover(&folder, visit)?;
+        let log = Self {
             folder,
             segment_bytes,
-            segments: BTreeMap::new(),
-            current: None,
-            last_number,
-            written: 0,
-            durable: 0,
+            segments: found.segments,
+            current: found.current,
+            last_number: found.last_number,
+            written: found.end,
+            durable: found.end,
             stopped: false,
         };
-        let mut recovery = LogRecovery {
-            segments: numbers.len(),
-            ..LogRecovery::default()
-        };
-        for number in numbers {
-            log.recover_segment(number, visit, &mut recovery)?;
-        }
-        Ok((log, recovery))
-    }
-
-    fn recover_segment(
-        &mut self,
-        number: u64,
-        visit: &mut dyn FnMut(Recovered),
-        recovery: &mut LogRecovery,
-    ) -> Result<(), ReplayError> {
-        let path = Segment::path_of(self.folder.path(), number);
-        let content = Bytes::from(fs::read(&path).map_err(ReplayError::io("read", &path))?);
-        let file = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .open(&path)
-            .map_err(ReplayError::io("open", &path))?;
-        let segment = Arc::new(Segment { number, path, file });
-        let pieces = scan::scan(&content);
-        let mut end = content.len();
-        if number == self.last_number {
-            end = scan::torn_at(&pieces).unwrap_or(end);
-            recovery.torn_bytes += (content.len() - end) as u64;
-            if !self.resume(&segment, end, content.len())? {
-                return Ok(());
-            }
-        }
-        for piece in pieces {
-            match piece {
-                Piece::Good { range, .. } if range.start >= end => {}
-                Piece::Good { range, record, .. } => visit(match record {
-                    Record::Chunk(chunk) => {
-                        let place = ChunkRef {
-                            segment: segment.clone(),
-                            offset: range.start as u64,
-                            frame_bytes: range.len() as u32,
-                            first_step: chunk.first_step,
-                            steps: chunk.steps,
-                        };
-                        Recovered::Chunk(chunk, place)
-                    }
-                    Record::Snapshot(snapshot) => Recovered::Snapshot(snapshot),
-                    Record::Progress(progress) => Recovered::Progress(progress),
-                }),
-                Piece::Bad { range, .. } if range.start >= end => {}
-                Piece::Bad { range, reason } => recovery.quarantined.push(Quarantined {
-                    segment: segment.path.clone(),
-                    offset: range.start as u64,
-                    bytes: (range.end.min(end) - range.start) as u64,
-                    reason,
-                }),
-            }
-        }
-        self.segments.insert(number, segment);
-        Ok(())
-    }
-
-    /// Makes the newest segment the growing one, cut to `end`. A segment without even its first record was
-    /// never used: it is deleted, and the answer is false.
-    fn resume(
-        &mut self,
-        segment: &Arc<Segment>,
-        end: usize,
-        found: usize,
-    ) -> Result<bool, ReplayError> {
-        if end == 0 {
-            fs::remove_file(&segment.path).map_err(ReplayError::io("delete", &segment.path))?;
-            self.folder.sync()?;
-            return Ok(false);
-        }
-        if end < found {
-            segment
-                .file
-                .set_len(end as u64)
-                .map_err(ReplayError::io("cut", &segment.path))?;
-        }
-        // Also where nothing was cut: a process that died between write and sync leaves records that are
-        // readable but not durable, and the index is about to call them durable.
-        segment
-            .file
-            .sync_all()
-            .map_err(|source| ReplayError::Sync {
-                path: segment.path.clone(),
-                source,
-            })?;
-        self.current = Some(segment.clone());
-        self.written = end as u64;
-        self.durable = end as u64;
-        Ok(true)
+        Ok((log, found.report))
     }
 
     /// Writes `records` behind the end of the log. A new segment starts with `snapshot`, the state before
@@ -320,7 +204,10 @@ impl SegmentLog {
         }
     }
 
-    fn start_segment(&mut self, snapshot: Snapshot) -> Result<Arc<Segment>, ReplayError> {
+    fn start_segment(&mut self, mut snapshot: Snapshot) -> Result<Arc<Segment>, ReplayError> {
+        if self.current.is_some() {
+            snapshot.closed = self.durable().0;
+        }
         let number = self.last_number + 1;
         let path = Segment::path_of(self.folder.path(), number);
         let mut frame = Vec::new();
@@ -373,16 +260,16 @@ impl SegmentLog {
     }
 }
 
-fn list_segments(folder: &Path) -> Result<Vec<u64>, ReplayError> {
-    let mut numbers = Vec::new();
-    for entry in fs::read_dir(folder).map_err(ReplayError::io("list", folder))? {
-        let entry = entry.map_err(ReplayError::io("list", folder))?;
-        if let Some(number) = entry.file_name().to_str().and_then(Segment::number_of) {
-            numbers.push(number);
+impl Drop for SegmentLog {
+    /// Where this note is missing, after a crash, opening has to take damage in the newest group for a torn
+    /// write.
+    fn drop(&mut self) {
+        if self.current.is_some()
+            && let Err(error) = self.folder.set_durable(self.durable().0)
+        {
+            tracing::warn!(%error, "cannot note the durable end of the replay log");
         }
     }
-    numbers.sort_unstable();
-    Ok(numbers)
 }
 
 #[cfg(test)]

@@ -39,8 +39,8 @@ fn records() -> impl Strategy<Value = Record> {
     prop_oneof![
         4 => chunks().prop_map(Record::Chunk),
         1 => progress.clone().prop_map(Record::Progress),
-        1 => (any::<u64>(), prop::collection::vec(progress, 0..5)).prop_map(|(inserted_steps, progress)| {
-            Record::Snapshot(Snapshot { inserted_steps, progress })
+        1 => (any::<(u64, u64, u64)>(), prop::collection::vec(progress, 0..5)).prop_map(|((inserted_steps, segment, offset), progress)| {
+            Record::Snapshot(Snapshot { inserted_steps, closed: LogPosition { segment, offset }, progress })
         }),
     ]
 }
@@ -51,15 +51,17 @@ fn frame(record: &Record, commit_start: u64) -> Vec<u8> {
     out
 }
 
-fn decode(bytes: &[u8]) -> Result<(u64, Record), &'static str> {
+fn decode_all(bytes: &[u8]) -> Result<(u64, Record), &'static str> {
     let header = decode_header(bytes)?;
-    let body = bytes
-        .get(HEADER_BYTES..HEADER_BYTES + header.body_bytes)
-        .ok_or("cut off")?;
-    Ok((
-        header.commit_start,
-        decode_body(&header, &Bytes::copy_from_slice(body))?,
-    ))
+    let payload = bytes.get(header.header_bytes..).unwrap_or_default();
+    header.check_payload(payload)?;
+    let commit_start = header.commit_start;
+    let record = match header.entry(payload)? {
+        Entry::Chunk(_) => Record::Chunk(decode_chunk(&Bytes::copy_from_slice(bytes))?),
+        Entry::Snapshot(snapshot) => Record::Snapshot(snapshot),
+        Entry::Progress(progress) => Record::Progress(progress),
+    };
+    Ok((commit_start, record))
 }
 
 proptest! {
@@ -67,14 +69,14 @@ proptest! {
 
     #[test]
     fn decoding_returns_what_was_encoded(record in records(), commit_start in any::<u64>()) {
-        prop_assert_eq!(decode(&frame(&record, commit_start)), Ok((commit_start, record)));
+        prop_assert_eq!(decode_all(&frame(&record, commit_start)), Ok((commit_start, record)));
     }
 
     #[test]
     fn every_truncation_is_an_error(record in records()) {
         let bytes = frame(&record, 7);
         for end in 0..bytes.len() {
-            prop_assert!(decode(&bytes[..end]).is_err(), "cut to {end} bytes");
+            prop_assert!(decode_all(&bytes[..end]).is_err(), "cut to {end} bytes");
         }
     }
 
@@ -84,18 +86,35 @@ proptest! {
         for bit in 0..bytes.len() * 8 {
             let mut flipped = bytes.clone();
             flipped[bit / 8] ^= 1 << (bit % 8);
-            prop_assert!(decode(&flipped).is_err(), "bit {bit}");
+            prop_assert!(decode_all(&flipped).is_err(), "bit {bit}");
         }
     }
 
     #[test]
-    fn arbitrary_bodies_with_valid_checksums_never_panic(body in prop::collection::vec(any::<u8>(), 0..100)) {
-        let header = Header {
-            body_bytes: body.len(),
-            commit_start: 0,
-            body_crc: crc32c::crc32c(&body),
-        };
-        let _ = decode_body(&header, &body.into());
+    fn a_header_alone_tells_all_but_the_payload(chunk in chunks()) {
+        let bytes = frame(&Record::Chunk(chunk.clone()), 7);
+        let header = decode_header(&bytes[..bytes.len() - chunk.payload.len()]).unwrap();
+        prop_assert_eq!(header.frame_bytes(), bytes.len());
+        prop_assert_eq!(header.check_payload(&chunk.payload), Ok(()));
+        prop_assert_eq!(decode_chunk(&bytes.into()), Ok(chunk));
+    }
+
+    #[test]
+    fn arbitrary_metadata_and_payloads_with_valid_checksums_never_panic(
+        meta in prop::collection::vec(any::<u8>(), 0..100),
+        payload in prop::collection::vec(any::<u8>(), 0..100),
+    ) {
+        let mut header = vec![0; FIXED_BYTES];
+        header[..4].copy_from_slice(&MAGIC);
+        header[4..6].copy_from_slice(&(meta.len() as u16).to_le_bytes());
+        header[6..10].copy_from_slice(&(payload.len() as u32).to_le_bytes());
+        header[18..22].copy_from_slice(&crc32c::crc32c(&payload).to_le_bytes());
+        header.extend_from_slice(&meta);
+        let crc = header_crc(&header);
+        header[CRC_AT..FIXED_BYTES].copy_from_slice(&crc.to_le_bytes());
+        if let Ok(header) = decode_header(&header) {
+            let _ = header.entry(&payload);
+        }
     }
 }
 

@@ -9,7 +9,7 @@ use bytes::Bytes;
 use isodream_core::Chunk;
 
 use crate::ReplayError;
-use crate::record::{self, HEADER_BYTES, Record};
+use crate::record;
 
 const PREFIX: &str = "segment-";
 const SUFFIX: &str = ".log";
@@ -87,12 +87,7 @@ impl ChunkRef {
             offset: self.offset,
             reason,
         };
-        let frame = Bytes::from(frame);
-        let header = record::decode_header(&frame).map_err(damaged)?;
-        match record::decode_body(&header, &frame.slice(HEADER_BYTES..)).map_err(damaged)? {
-            Record::Chunk(chunk) => Ok(chunk),
-            Record::Snapshot(_) | Record::Progress(_) => Err(damaged("it is not a chunk")),
-        }
+        record::decode_chunk(&Bytes::from(frame)).map_err(damaged)
     }
 
     pub(crate) fn same_place(&self, other: &Self) -> bool {

@@ -8,7 +8,8 @@ use rand_chacha::ChaCha8Rng;
 use crate::folder::Folder;
 use crate::index::Index;
 use crate::ledger::Ledger;
-use crate::log::{Recovered, SegmentLog};
+use crate::log::SegmentLog;
+use crate::recover::Recovered;
 use crate::writer::StoreWriter;
 use crate::{ChunkRef, Quarantined, ReplayError, SequenceRef};
 

@@ -115,6 +115,7 @@ impl StoreWriter {
         let snapshot = || Snapshot {
             inserted_steps,
             progress: before.progress(),
+            ..Snapshot::default()
         };
         let durable = match self.log.append(records, snapshot) {
             Ok(appended) => self.log.sync().map(|_| appended.chunks),
