@@ -4,9 +4,11 @@ use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use serde::Serialize;
+
 use crate::{LogPosition, ReplayError};
 
-const FORMAT: &str = "isodream-replay 2";
+pub(crate) const FORMAT: &str = "isodream-replay 2";
 const FORMAT_FILE: &str = "FORMAT";
 const ID_FILE: &str = "ID";
 const IDENTITY_FILE: &str = "IDENTITY";
@@ -14,7 +16,7 @@ const DURABLE_FILE: &str = "DURABLE";
 const LOCK_FILE: &str = "LOCK";
 
 /// What a store's experience was collected from; two stores of different identity never mix.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct StoreIdentity {
     /// Hash of the environment spec, without line breaks.
     pub env_spec_hash: String,
@@ -85,40 +87,15 @@ impl Folder {
     }
 
     fn check_format(&self) -> Result<(), ReplayError> {
-        let path = self.path.join(FORMAT_FILE);
-        match fs::read_to_string(&path) {
-            Ok(text) if text.trim_end() == FORMAT => Ok(()),
-            Ok(text) => Err(ReplayError::Format {
-                folder: self.path.clone(),
-                found: text.trim_end().to_owned(),
-                expected: FORMAT,
-            }),
-            Err(error) if error.kind() == io::ErrorKind::NotFound => {
-                self.write_durably(FORMAT_FILE, format!("{FORMAT}\n").as_bytes())
-            }
-            Err(error) => Err(ReplayError::io("read", &path)(error)),
+        if read_format(&self.path)? {
+            return Ok(());
         }
+        self.write_durably(FORMAT_FILE, format!("{FORMAT}\n").as_bytes())
     }
 
     /// What the store belongs to; none before the first handshake.
     pub(crate) fn identity(&self) -> Result<Option<StoreIdentity>, ReplayError> {
-        let path = self.path.join(IDENTITY_FILE);
-        match fs::read_to_string(&path) {
-            Ok(text) => {
-                let (hash, words) = text
-                    .split_once('\n')
-                    .ok_or_else(|| ReplayError::Identity { path: path.clone() })?;
-                Ok(Some(StoreIdentity {
-                    env_spec_hash: hash.to_owned(),
-                    env_spec: words.to_owned(),
-                }))
-            }
-            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-            Err(error) if error.kind() == io::ErrorKind::InvalidData => {
-                Err(ReplayError::Identity { path })
-            }
-            Err(error) => Err(ReplayError::io("read", &path)(error)),
-        }
+        read_identity(&self.path)
     }
 
     /// Fixes what the store belongs to, durably.
@@ -129,20 +106,7 @@ impl Folder {
 
     /// A position that everything before it is known to be durable up to; the start where none was noted.
     pub(crate) fn durable(&self) -> Result<LogPosition, ReplayError> {
-        let path = self.path.join(DURABLE_FILE);
-        match fs::read_to_string(&path) {
-            // A damaged note is worth no more than none: it only tells damage from a torn write.
-            Ok(text) => Ok(parse_position(&text).unwrap_or_default()),
-            Err(error)
-                if matches!(
-                    error.kind(),
-                    io::ErrorKind::NotFound | io::ErrorKind::InvalidData
-                ) =>
-            {
-                Ok(LogPosition::default())
-            }
-            Err(error) => Err(ReplayError::io("read", &path)(error)),
-        }
+        read_durable(&self.path)
     }
 
     /// Notes that everything before `position` is durable.
@@ -170,6 +134,58 @@ impl Folder {
             .and_then(|()| fs::rename(&temporary, &path))
             .map_err(ReplayError::io("write", &path))?;
         self.sync()
+    }
+}
+
+/// Checks a folder's format; false where it has none yet.
+pub(crate) fn read_format(folder: &Path) -> Result<bool, ReplayError> {
+    let path = folder.join(FORMAT_FILE);
+    match fs::read_to_string(&path) {
+        Ok(text) if text.trim_end() == FORMAT => Ok(true),
+        Ok(text) => Err(ReplayError::Format {
+            folder: folder.to_owned(),
+            found: text.trim_end().to_owned(),
+            expected: FORMAT,
+        }),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
+        Err(error) => Err(ReplayError::io("read", &path)(error)),
+    }
+}
+
+pub(crate) fn read_identity(folder: &Path) -> Result<Option<StoreIdentity>, ReplayError> {
+    let path = folder.join(IDENTITY_FILE);
+    match fs::read_to_string(&path) {
+        Ok(text) => {
+            let (hash, words) = text
+                .split_once('\n')
+                .ok_or_else(|| ReplayError::Identity { path: path.clone() })?;
+            Ok(Some(StoreIdentity {
+                env_spec_hash: hash.to_owned(),
+                env_spec: words.to_owned(),
+            }))
+        }
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) if error.kind() == io::ErrorKind::InvalidData => {
+            Err(ReplayError::Identity { path })
+        }
+        Err(error) => Err(ReplayError::io("read", &path)(error)),
+    }
+}
+
+pub(crate) fn read_durable(folder: &Path) -> Result<LogPosition, ReplayError> {
+    let path = folder.join(DURABLE_FILE);
+    match fs::read_to_string(&path) {
+        // A damaged note is worth no more than none: it only tells damage from a torn write.
+        Ok(text) => Ok(parse_position(&text).unwrap_or_default()),
+        Err(error)
+            if matches!(
+                error.kind(),
+                io::ErrorKind::NotFound | io::ErrorKind::InvalidData
+            ) =>
+        {
+            Ok(LogPosition::default())
+        }
+        Err(error) => Err(ReplayError::io("read", &path)(error)),
     }
 }
 

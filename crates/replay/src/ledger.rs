@@ -3,11 +3,12 @@
 use std::collections::BTreeMap;
 
 use isodream_core::Chunk;
+use serde::Serialize;
 
 use crate::ReplayError;
 
 /// An actor's position.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Progress {
     /// The actor.
     pub actor_id: String,

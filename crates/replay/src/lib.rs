@@ -16,6 +16,7 @@
 mod error;
 mod folder;
 mod index;
+mod inspect;
 mod ledger;
 mod limiter;
 mod log;
@@ -30,6 +31,9 @@ mod writer;
 pub use error::ReplayError;
 pub use folder::StoreIdentity;
 pub use index::{IndexStats, SequenceRef};
+pub use inspect::{
+    EpisodeSummary, Inspection, SegmentSummary, Verification, find_chunk, inspect, verify,
+};
 pub use ledger::{Outcome, Progress};
 pub use limiter::{Draw, LimiterOptions, RateLimiter};
 pub use log::{Appended, DurablePosition, LogPosition, SegmentLog, WrittenPosition};

@@ -193,22 +193,10 @@ impl Found {
     /// Whether a segment that is known to have reached up to `end` misses its own, which is reported. A segment
     /// that is gone was evicted.
     fn compare_length(&mut self, folder: &Path, end: LogPosition) -> bool {
-        let found = self.lengths.get(&end.segment).copied();
-        let missing = found.filter(|bytes| *bytes < end.offset);
-        if let Some(bytes) = missing {
-            let path = Segment::path_of(folder, end.segment);
-            let mut stretches = self.report.quarantined.iter_mut();
-            match stretches.find(|bad| bad.segment == path && bad.offset + bad.bytes == bytes) {
-                Some(cut_off) => cut_off.bytes = end.offset - cut_off.offset,
-                None => self.report.quarantined.push(Quarantined {
-                    segment: path,
-                    offset: bytes,
-                    bytes: end.offset - bytes,
-                    reason: "its end is missing",
-                }),
-            }
-        }
-        missing.is_some()
+        let path = Segment::path_of(folder, end.segment);
+        self.lengths.get(&end.segment).is_some_and(|&bytes| {
+            scan::note_missing_end(&mut self.report.quarantined, path, bytes, end.offset)
+        })
     }
 }
 

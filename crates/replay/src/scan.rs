@@ -6,10 +6,12 @@ use std::ops::Range;
 use std::os::unix::fs::FileExt;
 use std::path::PathBuf;
 
+use serde::Serialize;
+
 use crate::record::{self, Entry, Header, MAGIC, MAX_HEADER_BYTES, Meta};
 
 /// A damaged stretch that was skipped.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Quarantined {
     /// The segment.
     pub segment: PathBuf,
@@ -107,6 +109,32 @@ pub(crate) fn torn_at(pieces: &[Piece], durable: u64) -> Option<u64> {
         Piece::Bad { range, .. } if range.end > newest_group => Some(range.start.max(newest_group)),
         _ => None,
     })
+}
+
+/// Notes the missing end of a segment that has `bytes` bytes and is known to have had `end`; false where nothing
+/// is missing. A last record that is cut off is one stretch with what is missing behind it.
+pub(crate) fn note_missing_end(
+    damage: &mut Vec<Quarantined>,
+    segment: PathBuf,
+    bytes: u64,
+    end: u64,
+) -> bool {
+    if bytes >= end {
+        return false;
+    }
+    let cut_off = damage
+        .iter_mut()
+        .find(|stretch| stretch.segment == segment && stretch.offset + stretch.bytes == bytes);
+    match cut_off {
+        Some(stretch) => stretch.bytes = end - stretch.offset,
+        None => damage.push(Quarantined {
+            segment,
+            offset: bytes,
+            bytes: end - bytes,
+            reason: "its end is missing",
+        }),
+    }
+    true
 }
 
 /// Where the frame lies, where its fields can be true in a segment of `bytes` bytes.
