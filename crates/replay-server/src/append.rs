@@ -1,6 +1,7 @@
 //! One `Append` stream: chunks in, acknowledgements and reasons to wait out.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use isodream_core::Chunk;
 use isodream_proto::v1::append_request::Kind;
@@ -12,6 +13,9 @@ use tonic::{Code, Status, Streaming};
 
 use crate::commit::{Command, Submission};
 use crate::state::{Admission, State, stopping};
+
+/// How long a stream that ended at shutdown is read on.
+const LINGER: Duration = Duration::from_secs(1);
 
 /// What a stream's peer has to know; the newest value counts, so nothing queues up behind a slow peer.
 #[derive(Debug, Clone, Default)]
@@ -45,7 +49,8 @@ impl Progress {
         self.over.cancel();
     }
 
-    fn waiting(&self, why: String) {
+    /// Tells the peer why its chunks do not move; empty where they do.
+    pub(crate) fn waiting(&self, why: String) {
         self.news.send_if_modified(|news| {
             let differs = news.waiting != why;
             news.waiting = why;
@@ -66,9 +71,10 @@ pub(crate) fn start(
         durable_seq: next_seq,
         ..News::default()
     });
-    let over = state.stop.child_token();
+    let over = CancellationToken::new();
     let (replies, outbound) = mpsc::channel(1);
-    tokio::spawn(tell(changes, replies, over.clone()));
+    let stop = state.stop.clone();
+    tokio::spawn(tell(changes, replies, over.clone(), stop));
     let reader = Reader {
         state,
         progress: Arc::new(Progress { news, over }),
@@ -79,11 +85,13 @@ pub(crate) fn start(
     outbound
 }
 
-/// Sends the newest news until the peer or the stream is gone.
+/// Sends the newest news until the peer or the stream is gone. A server that stops says so after the last
+/// acknowledgement.
 async fn tell(
     mut changes: watch::Receiver<News>,
     replies: mpsc::Sender<Result<AppendReply, Status>>,
     over: CancellationToken,
+    stop: CancellationToken,
 ) {
     let _over = over.drop_guard();
     let mut sent = None;
@@ -104,7 +112,12 @@ async fn tell(
             return;
         }
         tokio::select! {
-            changed = changes.changed() => if changed.is_err() { return },
+            changed = changes.changed() => if changed.is_err() {
+                if stop.is_cancelled() {
+                    let _ = replies.send(Err(stopping().into())).await;
+                }
+                return;
+            },
             () = replies.closed() => return,
         }
     }
@@ -113,6 +126,13 @@ async fn tell(
 /// Whether a request came and is none: too large, or not of this protocol.
 pub(crate) fn is_unreadable(status: &Status) -> bool {
     isodream_rpc::is_refusal(status) || status.code() == Code::Internal
+}
+
+/// Takes what a peer still sends until it hears of the end: a connection that is closed with unread bytes is
+/// reset, and the last acknowledgements and the reason would be lost with it.
+async fn discard(mut requests: Streaming<AppendRequest>) {
+    let peer_closed = async { while let Ok(Some(_)) = requests.message().await {} };
+    let _ = tokio::time::timeout(LINGER, peer_closed).await;
 }
 
 struct Reader {
@@ -126,7 +146,13 @@ impl Reader {
     async fn run(self, mut requests: Streaming<AppendRequest>) {
         let result = tokio::select! {
             result = self.read(&mut requests) => result,
-            () = self.progress.over.cancelled() => Err(stopping()),
+            () = self.progress.over.cancelled() => return,
+            () = self.state.stop.cancelled() => {
+                // What was handed to the commit thread is still stored and acknowledged.
+                drop(self);
+                discard(requests).await;
+                return;
+            }
         };
         match result {
             Ok(()) => tracing::debug!(actor = %self.actor_id, "append stream closed by its peer"),

@@ -1,6 +1,9 @@
 //! The thread that owns the log: whatever has arrived is written, synced once and acknowledged.
+//!
+//! While the disk is full, what was admitted stays here and is tried again, and nothing more is admitted.
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use isodream_core::Chunk;
 use isodream_replay::{Outcome, ReplayError, StoreIdentity, StoreWriter};
@@ -13,6 +16,9 @@ use crate::state::{Admission, State, stopping};
 
 /// Payload bytes after which a group is closed: about 100 ms of a slow disk.
 const GROUP_BYTES: usize = 16 << 20;
+
+/// Pause before a full disk is tried again.
+const FULL_DISK_PAUSE: Duration = Duration::from_millis(500);
 
 /// What streams ask of the commit thread.
 pub(crate) enum Command {
@@ -40,12 +46,32 @@ pub(crate) struct Submission {
 }
 
 pub(crate) struct Committer {
-    pub(crate) writer: StoreWriter,
-    pub(crate) queue: mpsc::Receiver<Command>,
-    pub(crate) state: Arc<State>,
+    writer: StoreWriter,
+    queue: mpsc::Receiver<Command>,
+    state: Arc<State>,
+    /// Admitted chunks in order; more than one group only while the disk is full.
+    pending: Vec<Submission>,
+    pending_bytes: usize,
+    /// When a full disk is tried again.
+    retry_at: Option<Instant>,
 }
 
 impl Committer {
+    pub(crate) fn new(
+        writer: StoreWriter,
+        queue: mpsc::Receiver<Command>,
+        state: Arc<State>,
+    ) -> Self {
+        Self {
+            writer,
+            queue,
+            state,
+            pending: Vec::new(),
+            pending_bytes: 0,
+            retry_at: None,
+        }
+    }
+
     /// Starts the thread. It ends when the server stops, or with the error that ended the log.
     pub(crate) fn spawn(mut self) -> std::io::Result<oneshot::Receiver<Result<(), ReplayError>>> {
         let (ended, receiver) = oneshot::channel();
@@ -63,30 +89,37 @@ impl Committer {
 
     fn run(&mut self, runtime: &tokio::runtime::Handle) -> Result<(), ReplayError> {
         let stop = self.state.stop.clone();
-        loop {
+        while !stop.is_cancelled() {
+            let retry_at = self.retry_at;
             let first = runtime.block_on(async {
                 tokio::select! {
-                    biased;
-                    command = self.queue.recv() => command,
                     () = stop.cancelled() => None,
+                    command = self.queue.recv() => command,
+                    () = pause_until(retry_at) => None,
                 }
             });
-            let Some(first) = first else { return Ok(()) };
-            self.serve_arrived(first)?;
+            match first {
+                Some(first) => self.serve_arrived(first)?,
+                None => self.commit()?,
+            }
         }
+        // What arrived in time is stored and acknowledged.
+        self.queue.close();
+        while let Some(command) = self.queue.blocking_recv() {
+            self.serve_arrived(command)?;
+        }
+        Ok(())
     }
 
     /// Serves `first` and everything that has arrived since, in order, chunks in groups.
     fn serve_arrived(&mut self, first: Command) -> Result<(), ReplayError> {
-        let mut group = Vec::new();
-        let mut group_bytes = 0;
         let mut next = Some(first);
         while let Some(command) = next {
             match command {
                 Command::Store(submission) => {
-                    group_bytes += submission.chunk.payload.len();
-                    group.push(submission);
-                    if group_bytes >= GROUP_BYTES {
+                    self.pending_bytes += submission.chunk.payload.len();
+                    self.pending.push(submission);
+                    if self.pending_bytes >= GROUP_BYTES {
                         break;
                     }
                 }
@@ -96,8 +129,7 @@ impl Committer {
                     acknowledged_seq,
                     answer,
                 } => {
-                    self.commit(std::mem::take(&mut group))?;
-                    group_bytes = 0;
+                    self.commit()?;
                     let begun = self.writer.begin(&actor_id, epoch, acknowledged_seq);
                     reply(answer, begun)?;
                 }
@@ -108,39 +140,69 @@ impl Committer {
             }
             next = self.queue.try_recv().ok();
         }
-        self.commit(group)
+        self.commit()
     }
 
-    fn commit(&mut self, group: Vec<Submission>) -> Result<(), ReplayError> {
-        if group.is_empty() {
+    /// Stores what is pending, unless the disk is full and its pause is not over.
+    fn commit(&mut self) -> Result<(), ReplayError> {
+        if self.pending.is_empty() || self.retry_at.is_some_and(|at| Instant::now() < at) {
             return Ok(());
         }
-        let (chunks, streams): (Vec<_>, Vec<_>) = group
-            .into_iter()
-            .map(|submission| {
-                (
-                    submission.chunk,
-                    (submission.admission, submission.progress),
-                )
-            })
-            .unzip();
+        // Payloads are shared, not copied.
+        let chunks = self.pending.iter().map(|held| held.chunk.clone()).collect();
         let result = match self.writer.commit(chunks) {
+            Err(error @ ReplayError::Full { .. }) => {
+                self.wait_for_room(&error);
+                return Ok(());
+            }
+            result => result,
+        };
+        if self.retry_at.take().is_some() {
+            tracing::info!("there is room on the replay disk again, inserts go on");
+            for held in &self.pending {
+                held.progress.waiting(String::new());
+            }
+            self.state.set_stall(None);
+        }
+        self.pending_bytes = 0;
+        let pending = std::mem::take(&mut self.pending);
+        let result = match result {
             Ok(outcomes) => {
-                for (outcome, (admission, stream)) in outcomes.into_iter().zip(streams) {
-                    tell(outcome, admission, &stream);
+                for (outcome, held) in outcomes.into_iter().zip(pending) {
+                    tell(outcome, held.admission, &held.progress);
                 }
                 Ok(())
             }
             Err(error) => {
-                tracing::error!(%error, chunks = streams.len(), "cannot store chunks");
-                for (_, stream) in streams {
-                    stream.end(service_error(&error));
+                tracing::error!(%error, chunks = pending.len(), "cannot store chunks");
+                for held in pending {
+                    held.progress.end(service_error(&error));
                 }
                 if error.is_fatal() { Err(error) } else { Ok(()) }
             }
         };
         self.state.changed.notify_waiters();
         result
+    }
+
+    /// Keeps what is pending, tells everyone why, and has it tried again later.
+    fn wait_for_room(&mut self, error: &ReplayError) {
+        if self.retry_at.is_none() {
+            tracing::warn!(%error, "inserts wait for room on the replay disk, sampling goes on");
+            self.state.set_stall(Some(error.to_string()));
+        }
+        self.retry_at = Some(Instant::now() + FULL_DISK_PAUSE);
+        for held in &self.pending {
+            held.progress.waiting(error.to_string());
+        }
+    }
+}
+
+/// Never comes where no time is given.
+async fn pause_until(at: Option<Instant>) {
+    match at {
+        Some(at) => tokio::time::sleep_until(at.into()).await,
+        None => std::future::pending().await,
     }
 }
 

@@ -3,6 +3,9 @@
 //! One thread owns the writer: it collects whatever chunks have arrived, writes them, syncs
 //! once and acknowledges. Streams admit chunks and draws through the rate limiter and tell their peer why they
 //! wait. Only that thread and blocking tasks touch the disk.
+//!
+//! A full disk holds inserts until there is room, while sampling goes on. Shutting down takes no more chunks,
+//! stores and acknowledges those that have arrived, and then ends the streams with the reason.
 
 mod append;
 mod commit;
@@ -16,7 +19,7 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use isodream_proto::v1::replay_service_server::ReplayServiceServer;
-use isodream_replay::{LimiterOptions, Store, StoreOptions};
+use isodream_replay::{LimiterOptions, ReplayError, Store, StoreOptions};
 use isodream_rpc::limits::MAX_MESSAGE_BYTES;
 use tokio::net::TcpListener;
 use tokio::sync::mpsc;
@@ -42,12 +45,21 @@ pub struct ServerOptions {
     pub limiter: LimiterOptions,
 }
 
+/// Whether `error` comes from a disk whose state is unknown, so that only a new process can go on. By convention
+/// such a process ends with code 70.
+pub fn is_disk_failure(error: &anyhow::Error) -> bool {
+    error
+        .chain()
+        .filter_map(|cause| cause.downcast_ref::<ReplayError>())
+        .any(ReplayError::is_fatal)
+}
+
 /// Serves the store in `options.folder` on `listener` until `shutdown` is cancelled. Dropping the future
 /// stops the server as a crash would, and then releases the folder.
 ///
 /// # Errors
 /// Where the store cannot be opened, the server fails, or the disk fails in a way that leaves its state
-/// unknown: then the process must end, and restarting recovers what is durable.
+/// unknown ([`is_disk_failure`]): then the process must end, and restarting recovers what is durable.
 pub async fn serve(
     options: ServerOptions,
     listener: TcpListener,
@@ -99,19 +111,26 @@ pub async fn serve_connections<C: isodream_rpc::Connection>(
         commands,
         stop.clone(),
     ));
-    let mut committed = Committer {
-        writer,
-        queue,
-        state: state.clone(),
-    }
-    .spawn()
-    .context("cannot start the commit thread")?;
+    let mut committed = Committer::new(writer, queue, state.clone())
+        .spawn()
+        .context("cannot start the commit thread")?;
+    let (health, health_service) = tonic_health::server::health_reporter();
+    health
+        .set_serving::<ReplayServiceServer<ReplayServer>>()
+        .await;
+    let draining = stop.clone();
+    tokio::spawn(async move {
+        draining.cancelled().await;
+        health
+            .set_not_serving::<ReplayServiceServer<ReplayServer>>()
+            .await;
+    });
 
     let service = ReplayServiceServer::new(ReplayServer::new(state))
         .max_decoding_message_size(MAX_MESSAGE_BYTES)
         .max_encoding_message_size(MAX_MESSAGE_BYTES);
     let router = isodream_rpc::server()
-        .add_service(isodream_rpc::serving::<ReplayServiceServer<ReplayServer>>().await)
+        .add_service(health_service)
         .add_service(service);
     let served = isodream_rpc::serve_connections(router, incoming, stop.clone());
     tokio::pin!(served);

@@ -19,6 +19,8 @@ pub(crate) struct State {
     pub(crate) changed: Notify,
     commands: mpsc::Sender<Command>,
     pub(crate) stop: CancellationToken,
+    /// Why the disk takes no chunks at present.
+    stall: Mutex<Option<String>>,
     /// The learner's; 0 before the first one connects.
     sequence_length: AtomicU32,
 }
@@ -39,6 +41,7 @@ impl State {
             changed: Notify::new(),
             commands,
             stop,
+            stall: Mutex::new(None),
             sequence_length: AtomicU32::new(0),
         }
     }
@@ -59,8 +62,22 @@ impl State {
         self.commands.send(command).await.map_err(|_| stopping())
     }
 
+    /// Holds all inserts for `why`, or lets them go on.
+    pub(crate) fn set_stall(&self, why: Option<String>) {
+        *self.stall.lock().unwrap_or_else(PoisonError::into_inner) = why;
+        self.changed.notify_waiters();
+    }
+
+    fn stall(&self) -> Option<String> {
+        let stall = self.stall.lock().unwrap_or_else(PoisonError::into_inner);
+        stall.clone()
+    }
+
     /// Admits an insert, or says why it waits.
     pub(crate) fn try_insert(self: &Arc<Self>, steps: u32) -> Result<Admission, String> {
+        if let Some(why) = self.stall() {
+            return Err(why);
+        }
         let can_sample = self.can_sample();
         {
             let mut limiter = self.limiter();
@@ -130,7 +147,10 @@ impl State {
             inserted_steps: stats.inserted_steps,
             sampled_steps: limiter.sampled_steps(),
             quarantined_records: stats.quarantined_records,
-            insert_waiting: limiter.why_insert_waits(can_sample).unwrap_or_default(),
+            insert_waiting: self
+                .stall()
+                .or_else(|| limiter.why_insert_waits(can_sample))
+                .unwrap_or_default(),
             sample_waiting: limiter
                 .why_sample_waits(Draw::Limited, can_sample)
                 .unwrap_or_default(),

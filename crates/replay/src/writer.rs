@@ -103,8 +103,10 @@ impl StoreWriter {
             outcomes.push(outcome);
         }
         if !records.is_empty() {
-            self.write(&records, before)?;
+            let written = self.write(&records, before);
+            // Also after a failure: a full disk may hold segments that could not be deleted before.
             self.evict();
+            written?;
         }
         Ok(outcomes)
     }

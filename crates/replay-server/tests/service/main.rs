@@ -4,7 +4,9 @@
 
 mod common;
 mod experience;
+mod full_disk;
 mod gaps;
 mod messages;
 mod refusals;
 mod shards;
+mod shutdown;
