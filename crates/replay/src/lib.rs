@@ -14,6 +14,7 @@
 //! opened, a damaged payload when it is read.
 
 mod error;
+mod failpoint;
 mod folder;
 mod index;
 mod inspect;

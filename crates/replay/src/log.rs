@@ -10,6 +10,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use crate::ReplayError;
+use crate::failpoint;
 use crate::folder::Folder;
 use crate::record::{self, Record, Snapshot};
 use crate::recover::{self, LogRecovery, Recovered};
@@ -119,7 +120,10 @@ impl SegmentLog {
                 });
             }
         }
-        if let Err(error) = segment.file.write_all_at(&frames, self.written) {
+        let written = failpoint::reach("append-before-write")
+            .and_then(|()| segment.file.write_all_at(&frames, self.written))
+            .and_then(|()| failpoint::reach("append-before-sync"));
+        if let Err(error) = written {
             self.roll_back(&segment);
             return Err(ReplayError::io("write to", &segment.path)(error));
         }
@@ -142,7 +146,8 @@ impl SegmentLog {
             .as_ref()
             .filter(|_| self.durable < self.written)
         {
-            if let Err(source) = segment.file.sync_data() {
+            let synced = failpoint::reach("append-sync").and_then(|()| segment.file.sync_data());
+            if let Err(source) = synced {
                 self.stopped = true;
                 return Err(ReplayError::Sync {
                     path: segment.path.clone(),
@@ -187,7 +192,10 @@ impl SegmentLog {
             .cloned()
             .collect();
         for segment in &dead {
-            fs::remove_file(&segment.path).map_err(ReplayError::io("delete", &segment.path))?;
+            failpoint::reach("evict-before-delete")
+                .and_then(|()| fs::remove_file(&segment.path))
+                .and_then(|()| failpoint::reach("evict-after-delete"))
+                .map_err(ReplayError::io("delete", &segment.path))?;
             self.segments.remove(&segment.number);
         }
         Ok(dead.len())
@@ -219,8 +227,10 @@ impl SegmentLog {
             .truncate(true)
             .open(&path)
             .and_then(|file| {
+                failpoint::reach("roll-created")?;
                 file.write_all_at(&frame, 0)?;
                 file.sync_all()?;
+                failpoint::reach("roll-before-folder-sync")?;
                 Ok(file)
             })
             .map_err(ReplayError::io("create", &path))

@@ -9,6 +9,7 @@ use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::sync::Arc;
 
+use crate::failpoint;
 use crate::folder::Folder;
 use crate::record::{ChunkMeta, Entry, Snapshot};
 use crate::scan::{self, Piece, Quarantined};
@@ -63,6 +64,7 @@ pub(crate) fn recover(
     found.report.segments = numbers.len();
     for number in numbers {
         let path = Segment::path_of(folder.path(), number);
+        failpoint::reach("open-segment").map_err(ReplayError::io("open", &path))?;
         let file = OpenOptions::new()
             .read(true)
             .write(true)

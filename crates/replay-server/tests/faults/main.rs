@@ -1,0 +1,6 @@
+//! A real server process that dies for real.
+
+#![allow(clippy::unwrap_used)]
+
+mod kills;
+mod process;
