@@ -96,13 +96,14 @@ impl Found {
         visit: &mut dyn FnMut(Recovered),
     ) -> Result<(), ReplayError> {
         let bytes = length(&segment)?;
+        self.lengths.insert(segment.number, bytes);
         let pieces = match scan::skim(&segment.file, bytes)
             .map_err(ReplayError::io("read", &segment.path))?
         {
             Some(pieces) => pieces,
             None => scan::scan(&read_whole(&segment.file, bytes, &segment.path)?),
         };
-        self.take(segment, bytes, bytes, pieces, visit);
+        self.take(segment, bytes, pieces, visit);
         Ok(())
     }
 
@@ -116,6 +117,7 @@ impl Found {
         visit: &mut dyn FnMut(Recovered),
     ) -> Result<(), ReplayError> {
         let bytes = length(&segment)?;
+        self.lengths.insert(segment.number, bytes);
         let content = read_whole(&segment.file, bytes, &segment.path)?;
         let pieces = scan::scan(&content);
         let known = if durable.segment == segment.number {
@@ -146,15 +148,14 @@ impl Found {
             })?;
         self.current = Some(segment.clone());
         self.end = end;
-        self.take(segment, bytes, end, pieces, visit);
+        self.take(segment, end, pieces, visit);
         Ok(())
     }
 
-    /// Hands on what lies before `end` in a segment that was found with `bytes` bytes.
+    /// Hands on what lies before `end` in a segment.
     fn take(
         &mut self,
         segment: Arc<Segment>,
-        bytes: u64,
         end: u64,
         pieces: Vec<Piece>,
         visit: &mut dyn FnMut(Recovered),
@@ -188,7 +189,6 @@ impl Found {
                 }),
             }
         }
-        self.lengths.insert(segment.number, bytes);
         self.segments.insert(segment.number, segment);
     }
 
