@@ -3,4 +3,5 @@
 #![allow(clippy::unwrap_used)]
 
 mod kills;
+mod peers;
 mod process;

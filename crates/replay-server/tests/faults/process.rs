@@ -90,6 +90,20 @@ impl ServerProcess {
         self.child.try_wait().unwrap()
     }
 
+    /// Memory of the process that is in use.
+    pub(crate) fn resident_bytes(&self) -> u64 {
+        let status = format!("/proc/{}/status", self.child.id());
+        let status = std::fs::read_to_string(status).unwrap();
+        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+        let kilobytes: u64 = line
+            .unwrap()
+            .trim()
+            .trim_end_matches(" kB")
+            .parse()
+            .unwrap();
+        kilobytes << 10
+    }
+
     pub(crate) fn kill(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
@@ -133,7 +147,7 @@ pub(crate) async fn inserted_steps(address: &str) -> u64 {
     }
 }
 
-pub(crate) fn actor(address: &str, number: u64) -> AppendClient {
+pub(crate) fn identity() -> Identity {
     let spec = EnvSpec {
         id: "highway/day".to_owned(),
         image: ImageShape {
@@ -145,9 +159,13 @@ pub(crate) fn actor(address: &str, number: u64) -> AppendClient {
         action_repeat: 1,
         time_limit: 100,
     };
+    Identity::new(&spec, "")
+}
+
+pub(crate) fn actor(address: &str, number: u64) -> AppendClient {
     AppendClient::start(AppendOptions {
         addresses: vec![address.to_owned()],
-        identity: Identity::new(&spec, ""),
+        identity: identity(),
         actor_id: format!("actor-{number}"),
         epoch: 1,
         spool_chunks: 4,
