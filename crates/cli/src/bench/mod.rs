@@ -4,6 +4,7 @@
 mod actor;
 mod learner;
 mod machine;
+mod replay;
 
 use clap::Subcommand;
 
@@ -14,6 +15,11 @@ pub(crate) enum BenchCommand {
     Learner(learner::LearnerBenchArgs),
     /// Decisions of the deployed policy: latency and environment steps per CPU second
     Actor(actor::ActorBenchArgs),
+    /// Insertion and sampling through a replay-server, beside what memory, loopback and disk can do
+    Replay(replay::ReplayBenchArgs),
+    /// One process of the replay benchmark
+    #[command(hide = true)]
+    ReplayPart(replay::PartArgs),
 }
 
 /// Runs the command.
@@ -21,5 +27,7 @@ pub(crate) fn run(command: &BenchCommand) -> anyhow::Result<()> {
     match command {
         BenchCommand::Learner(args) => learner::run(args),
         BenchCommand::Actor(args) => actor::run(args),
+        BenchCommand::Replay(args) => replay::run(args),
+        BenchCommand::ReplayPart(args) => replay::run_part(args),
     }
 }

@@ -118,6 +118,34 @@ pub struct Rows<'a> {
     pub discounts: &'a mut [f32],
 }
 
+impl<'a> Rows<'a> {
+    /// The first `steps` of these rows, and the others.
+    ///
+    /// # Panics
+    /// If there are fewer: a defect of the caller.
+    pub fn split_at(self, steps: usize) -> (Self, Self) {
+        let held = self.rewards.len().max(1);
+        let (image_bytes, action_dim) = (self.images.len() / held, self.actions.len() / held);
+        let (images, other_images) = self.images.split_at_mut(steps * image_bytes);
+        let (actions, other_actions) = self.actions.split_at_mut(steps * action_dim);
+        let (rewards, other_rewards) = self.rewards.split_at_mut(steps);
+        let (discounts, other_discounts) = self.discounts.split_at_mut(steps);
+        let first = Self {
+            images,
+            actions,
+            rewards,
+            discounts,
+        };
+        let others = Self {
+            images: other_images,
+            actions: other_actions,
+            rewards: other_rewards,
+            discounts: other_discounts,
+        };
+        (first, others)
+    }
+}
+
 /// Decodes parts of payloads. Keeps the memory that blocks need of which only a part is wanted.
 #[derive(Debug, Default)]
 pub struct Decoder {
