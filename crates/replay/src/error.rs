@@ -48,9 +48,9 @@ pub enum ReplayError {
         source: io::Error,
     },
     /// A failed sync: what the disk holds is unknown, so the process must end and reopen the folder.
-    #[error("cannot sync replay segment {}: {source}; the disk's state is unknown, restart to recover what is durable", .path.display())]
+    #[error("cannot sync {}: {source}; the disk's state is unknown, restart to recover what is durable", .path.display())]
     Sync {
-        /// The segment.
+        /// The segment or its folder.
         path: PathBuf,
         /// The cause.
         source: io::Error,
@@ -99,6 +99,13 @@ impl ReplayError {
     /// Whether the process must end: the state of the disk is unknown.
     pub fn is_fatal(&self) -> bool {
         matches!(self, Self::Sync { .. } | Self::Stopped { .. })
+    }
+
+    pub(crate) fn sync(path: &Path) -> impl FnOnce(io::Error) -> Self {
+        move |source| Self::Sync {
+            path: path.to_owned(),
+            source,
+        }
     }
 
     pub(crate) fn io(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> Self {

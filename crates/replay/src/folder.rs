@@ -119,7 +119,7 @@ impl Folder {
     pub(crate) fn sync(&self) -> Result<(), ReplayError> {
         File::open(&self.path)
             .and_then(|folder| folder.sync_all())
-            .map_err(ReplayError::io("sync", &self.path))
+            .map_err(ReplayError::sync(&self.path))
     }
 
     /// Replaces a small file: after a crash it holds the old or the new content, never a mixture.

@@ -5,6 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::{self, OpenOptions};
+use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::sync::Arc;
@@ -229,12 +230,9 @@ impl SegmentLog {
             .and_then(|file| {
                 failpoint::reach("roll-created")?;
                 file.write_all_at(&frame, 0)?;
-                file.sync_all()?;
-                failpoint::reach("roll-before-folder-sync")?;
                 Ok(file)
             })
-            .map_err(ReplayError::io("create", &path))
-            .and_then(|file| self.folder.sync().map(|()| file));
+            .map_err(ReplayError::io("create", &path));
         let file = match created {
             Ok(file) => file,
             Err(error) => {
@@ -243,6 +241,22 @@ impl SegmentLog {
                 return Err(error);
             }
         };
+        let synced = file
+            .sync_all()
+            .and_then(|()| failpoint::reach("roll-before-folder-sync"))
+            .map_err(|source| match source.kind() {
+                io::ErrorKind::StorageFull => ReplayError::io("sync", &path)(source),
+                _ => ReplayError::sync(&path)(source),
+            })
+            .and_then(|()| self.folder.sync());
+        if let Err(error) = synced {
+            if error.is_fatal() {
+                self.stopped = true;
+            } else {
+                let _ = fs::remove_file(&path);
+            }
+            return Err(error);
+        }
         let segment = Arc::new(Segment { number, path, file });
         self.segments.insert(number, segment.clone());
         self.current = Some(segment.clone());

@@ -142,10 +142,7 @@ impl Found {
         segment
             .file
             .sync_all()
-            .map_err(|source| ReplayError::Sync {
-                path: segment.path.clone(),
-                source,
-            })?;
+            .map_err(ReplayError::sync(&segment.path))?;
         self.current = Some(segment.clone());
         self.end = end;
         self.take(segment, end, pieces, visit);

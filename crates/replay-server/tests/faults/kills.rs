@@ -69,12 +69,17 @@ fn a_hundred_kills_lose_nothing_that_was_acknowledged() {
 
 #[test]
 fn a_failed_sync_ends_the_process_with_its_code_and_loses_nothing() {
-    insert_while(u64::MAX, |world| {
-        let mut server = world.start("append-sync=50*off->return");
-        assert_eq!(server.wait().code(), Some(DISK_FAILED));
-        let _server = world.start("");
-        assert!(world.check_acknowledged() > 0);
-    });
+    for failpoints in [
+        "append-sync=50*off->return",
+        "roll-before-folder-sync=1*off->return",
+    ] {
+        insert_while(u64::MAX, |world| {
+            let mut server = world.start(failpoints);
+            assert_eq!(server.wait().code(), Some(DISK_FAILED));
+            let _server = world.start("");
+            assert!(world.check_acknowledged() > 0);
+        });
+    }
 }
 
 #[test]
