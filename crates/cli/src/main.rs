@@ -11,13 +11,13 @@ mod imagine;
 mod output;
 mod report;
 mod roles;
+mod store;
 mod train;
 mod tuning;
 
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use isodream_replay::ReplayError;
 use isodream_telemetry::{LogFormat, init_logging};
 
 /// Model-based reinforcement learning with isolated imaginations (Iso-Dream++)
@@ -32,7 +32,7 @@ struct Args {
 enum Command {
     /// Train: start all roles on this machine, show progress, end with a summary. The same command resumes
     Train(train::TrainArgs),
-    /// Run one replay-server
+    /// Run one replay-server, or look into its folder
     Replay(roles::ReplayArgs),
     /// Run the learner
     Learner(roles::LearnerArgs),
@@ -67,12 +67,10 @@ fn main() -> ExitCode {
 const DISK_FAILED: u8 = 70;
 
 fn exit_code(error: &anyhow::Error) -> ExitCode {
-    let replay = error
-        .chain()
-        .find_map(|cause| cause.downcast_ref::<ReplayError>());
-    match replay {
-        Some(error) if error.is_fatal() => ExitCode::from(DISK_FAILED),
-        _ => ExitCode::FAILURE,
+    if isodream_replay_server::is_disk_failure(error) {
+        ExitCode::from(DISK_FAILED)
+    } else {
+        ExitCode::FAILURE
     }
 }
 
@@ -91,7 +89,10 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         .build()?;
     let result = match command {
         Command::Train(args) => runtime.block_on(train::run(args)),
-        Command::Replay(args) => runtime.block_on(roles::replay(args)),
+        Command::Replay(args) => match args.command {
+            Some(command) => store::run(&command),
+            None => runtime.block_on(roles::replay(args.server)),
+        },
         Command::Learner(args) => return finish(runtime.block_on(roles::learner(args)), runtime),
         Command::Actor(args) => runtime.block_on(roles::actor(args)),
         Command::Eval(args) => eval::run(&args),

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use anyhow::bail;
+use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use isodream_actor::ActorOptions;
 use isodream_core::Config;
@@ -14,6 +14,7 @@ use isodream_rpc::{ENVIRONMENT_PATIENCE, environment_spec, shutdown_on_signal};
 use tokio_util::sync::CancellationToken;
 
 use crate::config_args::ConfigArgs;
+use crate::store::StoreCommand;
 
 /// What all roles take.
 #[derive(Debug, Args)]
@@ -45,12 +46,22 @@ impl RoleArgs {
 
 /// Options of `isodream replay`.
 #[derive(Debug, Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub(crate) struct ReplayArgs {
+    #[command(subcommand)]
+    pub(crate) command: Option<StoreCommand>,
+    #[command(flatten)]
+    pub(crate) server: ServerArgs,
+}
+
+/// Options of a replay-server.
+#[derive(Debug, Args)]
+pub(crate) struct ServerArgs {
     #[command(flatten)]
     role: RoleArgs,
     /// Where experience is stored
-    #[arg(long)]
-    dir: PathBuf,
+    #[arg(long, required = true)]
+    dir: Option<PathBuf>,
     /// Where to listen
     #[arg(long, default_value = "127.0.0.1:7001")]
     listen: String,
@@ -128,11 +139,13 @@ pub(crate) struct ActorArgs {
 }
 
 /// Runs a replay-server until it is told to stop.
-pub(crate) async fn replay(args: ReplayArgs) -> anyhow::Result<()> {
+pub(crate) async fn replay(args: ServerArgs) -> anyhow::Result<()> {
     let config = args.role.config.load()?;
     let shutdown = args.role.shutdown()?;
     let listener = isodream_rpc::bind(&args.listen).await?;
-    isodream_replay_server::serve(server_options(&config, args.dir), listener, shutdown).await
+    // The parser asks for it unless there is a subcommand.
+    let dir = args.dir.context("--dir is missing")?;
+    isodream_replay_server::serve(server_options(&config, dir), listener, shutdown).await
 }
 
 fn server_options(config: &Config, folder: PathBuf) -> ServerOptions {

@@ -256,11 +256,12 @@ impl Transform {
 }
 
 type Pack = fn(&[u8], &mut [u8]) -> Result<usize, Box<dyn Error>>;
+type Unpack = fn(&[u8], &mut [u8]) -> Result<(), Box<dyn Error>>;
 
 struct Packer {
     name: &'static str,
     pack: Pack,
-    unpack: fn(&[u8], &mut [u8]) -> Result<(), Box<dyn Error>>,
+    unpack: Unpack,
 }
 
 /// Higher acceleration searches less.

@@ -67,6 +67,8 @@ pub struct EpisodeSummary {
     pub shortest: u64,
     /// Steps of the longest.
     pub longest: u64,
+    /// The one that was written to last.
+    pub newest: Option<EpisodeId>,
 }
 
 /// What [`verify`] found.
@@ -92,6 +94,7 @@ pub fn inspect(folder: &Path) -> Result<Inspection, ReplayError> {
     let mut ledger = Ledger::default();
     let mut inserted_steps = 0;
     let mut episodes: BTreeMap<EpisodeId, Episode> = BTreeMap::new();
+    let mut newest = None;
     let mut segments = Vec::new();
     let tail = read(folder, Depth::Headers, &mut |segment, bytes, pieces| {
         let mut summary = SegmentSummary {
@@ -107,6 +110,7 @@ pub fn inspect(folder: &Path) -> Result<Inspection, ReplayError> {
                     let steps = u64::from(chunk.steps);
                     summary.steps += steps;
                     inserted_steps += steps;
+                    newest = Some(chunk.episode_id);
                     ledger.recover(&chunk.actor_id, chunk.epoch, chunk.seq.saturating_add(1));
                     let episode = episodes.entry(chunk.episode_id).or_default();
                     episode.whole &= u64::from(chunk.first_step) == episode.steps;
@@ -140,6 +144,7 @@ pub fn inspect(folder: &Path) -> Result<Inspection, ReplayError> {
             steps: episodes.values().map(|episode| episode.steps).sum(),
             shortest: lengths(&episodes).min().unwrap_or(0),
             longest: lengths(&episodes).max().unwrap_or(0),
+            newest,
         },
         actors: ledger.progress(),
         inserted_steps,

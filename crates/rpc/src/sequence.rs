@@ -125,6 +125,7 @@ mod tests {
         SampledSequence {
             chunks: vec![chunk(0, 3), chunk(3, 3), chunk(6, 3)],
             offset,
+            store_id: "store".into(),
             sampled_steps: 5,
         }
     }

@@ -46,7 +46,7 @@ pub(super) fn episodes(work: &Work) -> anyhow::Result<Vec<Steps>> {
                     transition = env.reset(rng.random())?;
                     continue;
                 }
-                if index % 5 == 0 {
+                if index.is_multiple_of(5) {
                     driven.fill_with(|| rng.random_range(-1.0..1.0));
                 }
                 transition = env.step(&driven)?;
