@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use sha2::{Digest, Sha256};
 use toml::{Table, Value};
 
-use super::Config;
+use super::{Config, TableConfig};
 
 /// Names of the presets and their settings over the defaults.
 pub const PRESETS: &[(&str, &str)] = &[
@@ -242,6 +242,7 @@ impl Config {
                 "must be at least 1",
             ));
         }
+        self.check_tables()?;
         if self.learner.threads < 0 {
             return Err(invalid("learner.threads", "must not be negative"));
         }
@@ -259,7 +260,36 @@ impl Config {
         }
         Ok(())
     }
+
+    fn check_tables(&self) -> Result<(), ConfigError> {
+        for (name, table) in &self.replay.tables {
+            let key = |field: &str| format!("replay.tables.{name}.{field}");
+            if !(table.priority_exponent >= 0.0 && table.priority_exponent.is_finite()) {
+                return Err(invalid(&key("priority_exponent"), "must be 0 or greater"));
+            }
+            if table.newest == 0 {
+                return Err(invalid(&key("newest"), "must be at least 1"));
+            }
+            if !(0.0..=1.0).contains(&table.newest_share) {
+                return Err(invalid(&key("newest_share"), "must lie between 0 and 1"));
+            }
+        }
+        if !self.replay.tables.contains_key(&self.learner.table) {
+            let known: Vec<_> = self.replay.tables.keys().map(String::as_str).collect();
+            return Err(invalid(
+                "learner.table",
+                &format!(
+                    "must name a table of [replay.tables], one of: {}",
+                    known.join(", ")
+                ),
+            ));
+        }
+        Ok(())
+    }
 }
+
+/// Where users choose the names.
+const TABLES_PREFIX: &str = "replay.tables.";
 
 fn invalid(key: &str, message: &str) -> ConfigError {
     ConfigError::Invalid {
@@ -308,6 +338,11 @@ fn merge_setting(into: &mut Table, setting: &str) -> Result<(), ConfigError> {
 fn merge(into: &mut Table, from: Table, prefix: &str, origin: &str) -> Result<(), ConfigError> {
     for (name, value) in from {
         let key = format!("{prefix}{name}");
+        if prefix == TABLES_PREFIX && !into.contains_key(&name) {
+            let table = Table::try_from(TableConfig::default());
+            let table = table.expect("a configuration is plain data");
+            into.insert(name.clone(), Value::Table(table));
+        }
         let Some(old) = into.get_mut(&name) else {
             return Err(ConfigError::UnknownKey {
                 origin: origin.to_owned(),
@@ -364,6 +399,7 @@ fn collect_keys(table: &Table, prefix: &str, into: &mut Vec<String>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::SelectorKind;
 
     fn load(preset: Option<&str>, set: &[&str]) -> Result<Config, ConfigError> {
         Config::load(&Source {
@@ -419,6 +455,12 @@ mod tests {
             ("env.image_size=128", "env.image_size"),
             ("loss.kl_balance=1.5", "loss.kl_balance"),
             ("actor.threads=0", "actor.threads"),
+            ("learner.table=new", "train"),
+            ("replay.tables.new=3", "replay.tables.new"),
+            (
+                "replay.tables.train.newest_share=2",
+                "replay.tables.train.newest_share",
+            ),
         ] {
             let error = load(None, &[given]).expect_err("invalid").to_string();
             assert!(error.contains(key), "{error}");
@@ -426,8 +468,36 @@ mod tests {
     }
 
     #[test]
+    fn a_new_table_begins_with_the_defaults() {
+        let config = load(
+            None,
+            &[
+                "replay.tables.new.selector=recent",
+                "replay.tables.new.newest=500",
+                "learner.table=new",
+            ],
+        )
+        .expect("valid");
+        let expected = TableConfig {
+            selector: SelectorKind::Recent,
+            newest: 500,
+            ..TableConfig::default()
+        };
+        assert_eq!(config.replay.tables["new"], expected);
+        assert_eq!(config.replay.tables["train"], TableConfig::default());
+        let error = load(None, &["replay.tables.new.newst=500"])
+            .expect_err("unknown")
+            .to_string();
+        assert!(error.contains("newest"), "{error}");
+    }
+
+    #[test]
     fn the_resolved_file_resolves_to_itself() {
-        let config = load(Some("quick"), &["seed=7"]).expect("valid");
+        let config = load(
+            Some("quick"),
+            &["seed=7", "replay.tables.new.limited=false"],
+        )
+        .expect("valid");
         let file = tempfile::NamedTempFile::new().expect("temporary file");
         std::fs::write(file.path(), config.to_toml()).expect("write");
         assert_eq!(Config::from_file(file.path()).expect("valid"), config);

@@ -6,14 +6,14 @@
 mod environment;
 mod load;
 mod model;
+mod replay;
 mod training;
 
 pub use environment::{BackgroundOrder, EnvConfig, NoiseTarget, RepeatReward};
 pub use load::{ConfigError, PRESETS, Source};
 pub use model::{InverseInput, LossConfig, ModelConfig, VarianceLoss};
-pub use training::{
-    ActorConfig, BehaviorConfig, LearnerConfig, OptimizerConfig, Precision, ReplayConfig,
-};
+pub use replay::{ReplayConfig, SelectorKind, TableConfig};
+pub use training::{ActorConfig, BehaviorConfig, LearnerConfig, OptimizerConfig, Precision};
 
 use serde::{Deserialize, Serialize};
 

@@ -1,8 +1,9 @@
-//! `[behavior]`, `[optimizer]`, `[replay]`, `[learner]` and `[actor]`
+//! `[behavior]`, `[optimizer]`, `[learner]` and `[actor]`
 
 use serde::{Deserialize, Serialize};
 
 use super::Config;
+use super::replay::TRAIN_TABLE;
 
 /// Imagination, actor and critic (Eq. 13, 14).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -73,31 +74,6 @@ impl Default for OptimizerConfig {
     }
 }
 
-/// The replay-server.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct ReplayConfig {
-    /// Steps kept; the oldest episodes go first. 0 keeps all.
-    pub capacity_steps: u64,
-    /// Bytes after which a log segment is closed.
-    pub segment_bytes: u64,
-    /// Steps per chunk that an actor sends.
-    pub chunk_steps: usize,
-    /// Batches that sampling may run ahead of or behind its ratio to insertion.
-    pub limiter_tolerance_batches: f64,
-}
-
-impl Default for ReplayConfig {
-    fn default() -> Self {
-        Self {
-            capacity_steps: 0,
-            segment_bytes: 64 << 20,
-            chunk_steps: 25,
-            limiter_tolerance_batches: 20.0,
-        }
-    }
-}
-
 /// In which numbers the learner multiplies. Weights, optimisers, recurrent states and losses are `f32` always.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -134,6 +110,8 @@ pub struct LearnerConfig {
     pub keep_checkpoints: usize,
     /// Updates between two lines of metrics.
     pub log_interval: u64,
+    /// The table of `[replay.tables]` that is trained on.
+    pub table: String,
     /// Threads that decode sampled sequences.
     pub decode_threads: usize,
     /// Batches decoded ahead of training.
@@ -157,6 +135,7 @@ impl Default for LearnerConfig {
             checkpoint_interval: 500,
             keep_checkpoints: 2,
             log_interval: 50,
+            table: TRAIN_TABLE.to_owned(),
             decode_threads: 2,
             prefetch_batches: 3,
             threads: 0,
