@@ -7,9 +7,10 @@ use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use isodream_actor::ActorOptions;
 use isodream_core::Config;
+use isodream_core::config::{SelectorKind, TableConfig};
 use isodream_learner::{Finished, LearnerOptions};
-use isodream_replay::{LimiterOptions, StoreOptions};
-use isodream_replay_server::ServerOptions;
+use isodream_replay::{LimiterOptions, Selector, StoreOptions, Table};
+use isodream_replay_server::{ServedTable, ServerOptions};
 use isodream_rpc::{ENVIRONMENT_PATIENCE, environment_spec, shutdown_on_signal};
 use tokio_util::sync::CancellationToken;
 
@@ -164,6 +165,26 @@ fn server_options(config: &Config, folder: PathBuf) -> ServerOptions {
             samples_per_insert: config.samples_per_insert(),
             tolerance_steps: batches * config.batch_steps() as f64,
         },
+        tables: config.replay.tables.iter().map(served_table).collect(),
+    }
+}
+
+fn served_table((name, config): (&String, &TableConfig)) -> ServedTable {
+    let selector = match config.selector {
+        SelectorKind::Steps => Selector::Steps,
+        SelectorKind::Episodes => Selector::Episodes,
+        SelectorKind::Prioritized => Selector::Prioritized {
+            exponent: config.priority_exponent,
+        },
+        SelectorKind::Fifo => Selector::Fifo,
+        SelectorKind::Recent => Selector::Recent {
+            newest: config.newest,
+            probability: config.newest_share,
+        },
+    };
+    ServedTable {
+        table: Table::new(name, selector),
+        limited: config.limited,
     }
 }
 

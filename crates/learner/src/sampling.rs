@@ -238,6 +238,9 @@ mod tests {
 
     fn sequence(offset: u32) -> SampledSequence {
         SampledSequence {
+            episode_id: 1,
+            start_step: offset,
+            probability: 1.0,
             chunks: vec![chunk(0, 3), chunk(3, 3), chunk(6, 3)],
             offset,
             store_id: "store".into(),

@@ -105,6 +105,7 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
         addresses: options.replay.clone(),
         identity,
         sequence_length: config.learner.batch_length as u32,
+        table: config.learner.table.clone(),
         seed: derive_seed(config.seed, &["sample", &counters.updates.to_string()]),
         prefetch: config.learner.batch_size * config.learner.prefetch_batches,
         sampled_steps: counters.sampled_steps.clone(),

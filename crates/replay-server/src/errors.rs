@@ -7,7 +7,10 @@ pub(crate) fn service_error(error: &ReplayError) -> ServiceError {
     let words = error.to_string();
     match error {
         ReplayError::Fenced { .. } => ServiceError::Refused(words),
-        ReplayError::InvalidChunk { .. } => ServiceError::Invalid(words),
+        ReplayError::InvalidChunk { .. }
+        | ReplayError::InvalidTable { .. }
+        | ReplayError::InvalidPriority { .. }
+        | ReplayError::NoPriorities { .. } => ServiceError::Invalid(words),
         ReplayError::Full { .. } => ServiceError::Exhausted(words),
         ReplayError::Sync { .. } | ReplayError::Stopped { .. } => ServiceError::Unavailable(words),
         _ => ServiceError::Internal(words),

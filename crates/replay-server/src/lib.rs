@@ -13,6 +13,7 @@ mod errors;
 mod sample;
 mod service;
 mod state;
+mod tables;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -30,6 +31,9 @@ use tonic::transport::server::TcpIncoming;
 use crate::commit::Committer;
 use crate::service::ReplayServer;
 use crate::state::State;
+use crate::tables::Tables;
+
+pub use crate::tables::ServedTable;
 
 /// Chunks between the streams and the commit thread at most; 200 KB each as a rule.
 const COMMIT_QUEUE: usize = 64;
@@ -43,6 +47,8 @@ pub struct ServerOptions {
     pub store: StoreOptions,
     /// The ratio of sampled to inserted steps. Always today's: nothing of it is stored.
     pub limiter: LimiterOptions,
+    /// What learners may draw from, each name once.
+    pub tables: Vec<ServedTable>,
 }
 
 /// Whether `error` comes from a disk whose state is unknown, so that only a new process can go on. By convention
@@ -82,6 +88,7 @@ pub async fn serve_connections<C: isodream_rpc::Connection>(
     incoming: impl Stream<Item = std::io::Result<C>>,
     shutdown: CancellationToken,
 ) -> anyhow::Result<()> {
+    let tables = Tables::new(options.tables)?;
     let (folder, store_options) = (options.folder.clone(), options.store.clone());
     let (writer, store, recovery) =
         tokio::task::spawn_blocking(move || Store::open(&folder, &store_options))
@@ -107,6 +114,7 @@ pub async fn serve_connections<C: isodream_rpc::Connection>(
     let state = Arc::new(State::new(
         store,
         store_id,
+        tables,
         options.limiter,
         commands,
         stop.clone(),

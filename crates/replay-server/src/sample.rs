@@ -1,17 +1,18 @@
-//! One `Sample` stream: credits in, sequences and reasons to wait out.
+//! One `Sample` stream: credits and priorities in, sequences and reasons to wait out.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 
 use isodream_core::Chunk;
 use isodream_proto::v1::sample_request::Kind;
-use isodream_proto::v1::{SampleReply, SampleRequest};
-use isodream_replay::{ChunkRef, Draw, ReplayError, Sampler, SequenceRef};
+use isodream_proto::v1::{PriorityUpdates, SampleCredit, SampleReply, SampleRequest};
+use isodream_replay::{ChunkRef, Draw, PriorityUpdate, ReplayError, Sampler, SequenceRef};
 use isodream_rpc::ServiceError;
 use tokio::sync::mpsc;
 use tonic::{Status, Streaming};
 
 use crate::append::is_unreadable;
+use crate::errors::service_error;
 use crate::state::{State, stopping};
 
 /// Sequences read by one blocking task.
@@ -21,20 +22,30 @@ const MAX_CREDITS: u32 = 1 << 16;
 /// Replies handed to the transport ahead of its pace.
 const REPLIES_AHEAD: usize = 4;
 
+/// Priorities set before other streams get their turn: tenths of a millisecond.
+const PRIORITY_GROUP: usize = 256;
+
+/// What a stream draws with.
+pub(crate) struct Drawer {
+    pub(crate) sampler: Sampler,
+    /// Whether the draws count against the rate limiter.
+    pub(crate) limited: bool,
+}
+
 type Replies = mpsc::Sender<Result<SampleReply, Status>>;
 
 /// Serves a stream whose hello was accepted.
 pub(crate) fn start(
     state: Arc<State>,
     requests: Streaming<SampleRequest>,
-    sampler: Sampler,
+    drawer: Drawer,
     waiting_credits: u32,
 ) -> mpsc::Receiver<Result<SampleReply, Status>> {
     let (replies, outbound) = mpsc::channel(REPLIES_AHEAD);
     let stop = state.stop.clone();
     let mut stream = SampleStream {
         state,
-        sampler,
+        drawer,
         credits: VecDeque::new(),
         waiting_credits: match waiting_credits {
             0 => u32::MAX,
@@ -59,7 +70,7 @@ pub(crate) fn start(
 
 struct SampleStream {
     state: Arc<State>,
-    sampler: Sampler,
+    drawer: Drawer,
     /// What the peer asked for, in its order.
     credits: VecDeque<(Draw, u32)>,
     /// More credits than these are given back rather than kept waiting.
@@ -84,7 +95,7 @@ impl SampleStream {
             self.announce().await?;
             tokio::select! {
                 request = requests.message() => match request {
-                    Ok(Some(request)) => self.credit(&request)?,
+                    Ok(Some(request)) => self.request(request).await?,
                     Err(status) if is_unreadable(&status) => {
                         return Err(ServiceError::Invalid(status.message().to_owned()));
                     }
@@ -95,12 +106,17 @@ impl SampleStream {
         }
     }
 
-    fn credit(&mut self, request: &SampleRequest) -> Result<(), ServiceError> {
-        let Some(Kind::Credit(credit)) = &request.kind else {
-            return Err(ServiceError::Invalid(
-                "a sample stream takes one hello and then credits".to_owned(),
-            ));
-        };
+    async fn request(&mut self, request: SampleRequest) -> Result<(), ServiceError> {
+        match request.kind {
+            Some(Kind::Credit(credit)) => self.credit(credit),
+            Some(Kind::Priorities(updates)) => self.set_priorities(&updates).await,
+            Some(Kind::Hello(_)) | None => Err(ServiceError::Invalid(
+                "a sample stream takes one hello and then credits and priorities".to_owned(),
+            )),
+        }
+    }
+
+    fn credit(&mut self, credit: SampleCredit) -> Result<(), ServiceError> {
         let granted = self.credits.iter().map(|(_, count)| *count).sum::<u32>();
         if credit.sequences == 0 || credit.sequences > MAX_CREDITS - granted {
             return Err(ServiceError::Invalid(format!(
@@ -108,7 +124,7 @@ impl SampleStream {
                 credit.sequences
             )));
         }
-        let draw = if credit.unlimited {
+        let draw = if credit.unlimited || !self.drawer.limited {
             Draw::Unlimited
         } else {
             Draw::Limited
@@ -116,6 +132,36 @@ impl SampleStream {
         match self.credits.back_mut() {
             Some((last, count)) if *last == draw => *count += credit.sequences,
             _ => self.credits.push_back((draw, credit.sequences)),
+        }
+        Ok(())
+    }
+
+    async fn set_priorities(&self, updates: &PriorityUpdates) -> Result<(), ServiceError> {
+        let (episodes, starts) = (&updates.episode_ids, &updates.start_steps);
+        let count = updates.priorities.len();
+        if episodes.len() != count || starts.len() != count {
+            return Err(ServiceError::Invalid(format!(
+                "{count} priorities came with {} episodes and {} start steps",
+                episodes.len(),
+                starts.len()
+            )));
+        }
+        let updates: Vec<_> = episodes
+            .iter()
+            .zip(starts)
+            .zip(&updates.priorities)
+            .map(|((episode_id, start_step), priority)| PriorityUpdate {
+                episode_id: *episode_id,
+                start_step: *start_step,
+                priority: *priority,
+            })
+            .collect();
+        for group in updates.chunks(PRIORITY_GROUP) {
+            self.drawer
+                .sampler
+                .update_priorities(group)
+                .map_err(|error| service_error(&error))?;
+            tokio::task::yield_now().await;
         }
         Ok(())
     }
@@ -131,7 +177,7 @@ impl SampleStream {
                 self.credits.pop_front();
                 continue;
             }
-            let Ok(sequence) = self.state.try_draw(*draw, &mut self.sampler) else {
+            let Ok(sequence) = self.state.try_draw(*draw, &mut self.drawer.sampler) else {
                 break;
             };
             *count -= 1;
@@ -146,17 +192,23 @@ impl SampleStream {
         let read = tokio::task::spawn_blocking(move || {
             draws
                 .into_iter()
-                .map(|(draw, sequence)| (draw, sequence.offset, read(&sequence)))
+                .map(|(draw, sequence)| {
+                    let chunks = read(&sequence);
+                    (draw, sequence, chunks)
+                })
                 .collect::<Vec<_>>()
         })
         .await
         .map_err(|error| ServiceError::Internal(format!("reading a sequence failed: {error}")))?;
-        for (draw, offset, chunks) in read {
+        for (draw, sequence, chunks) in read {
             match chunks {
                 Ok(chunks) => {
                     let reply = SampleReply {
                         chunks: chunks.into_iter().map(Into::into).collect(),
-                        offset,
+                        offset: sequence.offset,
+                        episode_id: sequence.episode_id,
+                        start_step: sequence.start_step,
+                        probability: sequence.probability,
                         ..SampleReply::default()
                     };
                     self.reply(reply).await?;
@@ -164,7 +216,8 @@ impl SampleStream {
                 Err((chunk, error)) => {
                     let dropped = self.drop_unreadable(&chunk, &error);
                     // After the store has changed, because this wakes those who wait for it.
-                    self.state.undo_draw(draw, self.sampler.sequence_length());
+                    self.state
+                        .undo_draw(draw, self.drawer.sampler.sequence_length());
                     dropped?;
                     self.credits.push_front((draw, 1));
                 }
@@ -188,10 +241,7 @@ impl SampleStream {
         let Some((draw, _)) = self.credits.front().copied() else {
             return Ok(());
         };
-        let Some(waiting) = self
-            .state
-            .why_draw_waits(draw, self.sampler.sequence_length())
-        else {
+        let Some(waiting) = self.state.why_draw_waits(draw, &self.drawer.sampler) else {
             return Ok(());
         };
         let returned_credits = self.give_back();

@@ -8,7 +8,7 @@ use isodream_proto::v1::{
     SampleReply, SampleRequest, append_request, sample_request,
 };
 use isodream_proto::{Identity, Mismatch};
-use isodream_replay::{Sampler, StoreIdentity};
+use isodream_replay::StoreIdentity;
 use isodream_rpc::ServiceError;
 use isodream_rpc::limits::HELLO_TIMEOUT;
 use tokio::sync::oneshot;
@@ -16,6 +16,8 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status, Streaming};
 
 use crate::commit::{Command, answered};
+use crate::errors::service_error;
+use crate::sample::Drawer;
 use crate::state::State;
 use crate::{append, sample};
 
@@ -74,15 +76,22 @@ impl ReplayServer {
         answered(next_seq).await
     }
 
-    async fn sampler(&self, hello: &SampleHello) -> Result<Sampler, ServiceError> {
+    async fn drawer(&self, hello: &SampleHello) -> Result<Drawer, ServiceError> {
         self.check(hello.handshake.as_ref()).await?;
         self.state.check_store(&hello.store_id)?;
-        if hello.sequence_length == 0 {
-            return Err(ServiceError::Invalid("the sequence length is 0".to_owned()));
+        let served = self.state.tables.find(&hello.table)?;
+        let (store, table) = (self.state.store.clone(), served.table.clone());
+        let (length, seed) = (hello.sequence_length, hello.seed);
+        // The first sampler of its kind goes through all that is held.
+        let sampler = tokio::task::spawn_blocking(move || store.sampler(&table, length, seed))
+            .await
+            .map_err(|error| ServiceError::Internal(format!("preparing a table failed: {error}")))?
+            .map_err(|error| service_error(&error))?;
+        let limited = served.limited;
+        if limited {
+            self.state.learner_connected(&sampler, hello.sampled_steps);
         }
-        self.state
-            .learner_connected(hello.sequence_length, hello.sampled_steps);
-        Ok(Sampler::new(hello.seed, hello.sequence_length))
+        Ok(Drawer { sampler, limited })
     }
 }
 
@@ -133,16 +142,17 @@ impl ReplayService for ReplayServer {
         let Some(sample_request::Kind::Hello(hello)) = first(&mut requests).await?.kind else {
             return Err(ServiceError::from(Mismatch::Missing).into());
         };
-        let sampler = self.sampler(&hello).await.inspect_err(|error| {
+        let drawer = self.drawer(&hello).await.inspect_err(|error| {
             tracing::warn!(?peer, %error, "refused a learner");
         })?;
         tracing::info!(
             ?peer,
+            table = %hello.table,
             sequence_length = hello.sequence_length,
             sampled_steps = hello.sampled_steps,
             "learner connected"
         );
-        let replies = sample::start(self.state.clone(), requests, sampler, hello.waiting_credits);
+        let replies = sample::start(self.state.clone(), requests, drawer, hello.waiting_credits);
         Ok(Response::new(ReceiverStream::new(replies)))
     }
 

@@ -1,6 +1,5 @@
 //! What all streams of a server share.
 
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use isodream_proto::v1::ReplayStatus;
@@ -10,10 +9,12 @@ use tokio::sync::{Notify, mpsc};
 use tokio_util::sync::CancellationToken;
 
 use crate::commit::Command;
+use crate::tables::Tables;
 
 pub(crate) struct State {
     pub(crate) store: Store,
     store_id: String,
+    pub(crate) tables: Tables,
     limiter: Mutex<RateLimiter>,
     /// Wakes every stream that waits for the limiter.
     pub(crate) changed: Notify,
@@ -21,14 +22,15 @@ pub(crate) struct State {
     pub(crate) stop: CancellationToken,
     /// Why the disk takes no chunks at present.
     stall: Mutex<Option<String>>,
-    /// The learner's; 0 before the first one connects.
-    sequence_length: AtomicU32,
+    /// The newest learner's of a limited table; none before the first one connects.
+    learner: Mutex<Option<Sampler>>,
 }
 
 impl State {
     pub(crate) fn new(
         store: Store,
         store_id: String,
+        tables: Tables,
         limiter: LimiterOptions,
         commands: mpsc::Sender<Command>,
         stop: CancellationToken,
@@ -37,12 +39,13 @@ impl State {
         Self {
             store,
             store_id,
+            tables,
             limiter: Mutex::new(RateLimiter::new(limiter, inserted_steps)),
             changed: Notify::new(),
             commands,
             stop,
             stall: Mutex::new(None),
-            sequence_length: AtomicU32::new(0),
+            learner: Mutex::new(None),
         }
     }
 
@@ -98,27 +101,26 @@ impl State {
         draw: Draw,
         sampler: &mut Sampler,
     ) -> Result<SequenceRef, String> {
-        let length = sampler.sequence_length();
-        let can_sample = self.store.can_sample(length);
+        let can_sample = sampler.can_draw();
         let sequence = {
             let mut limiter = self.limiter();
             if let Some(why) = limiter.why_sample_waits(draw, can_sample) {
                 return Err(why);
             }
             // Eviction may have come between.
-            let Some(sequence) = sampler.draw(&self.store) else {
-                return Err("no episode is long enough for a sequence".to_owned());
+            let Some(sequence) = sampler.draw() else {
+                return Err("the table has no sequence to give".to_owned());
             };
-            limiter.sample(draw, u64::from(length));
+            limiter.sample(draw, u64::from(sampler.sequence_length()));
             sequence
         };
         self.changed.notify_waiters();
         Ok(sequence)
     }
 
-    /// Why a draw of `sequence_length` steps waits.
-    pub(crate) fn why_draw_waits(&self, draw: Draw, sequence_length: u32) -> Option<String> {
-        let can_sample = self.store.can_sample(sequence_length);
+    /// Why a draw waits.
+    pub(crate) fn why_draw_waits(&self, draw: Draw, sampler: &Sampler) -> Option<String> {
+        let can_sample = sampler.can_draw();
         self.limiter().why_sample_waits(draw, can_sample)
     }
 
@@ -128,10 +130,9 @@ impl State {
         self.changed.notify_waiters();
     }
 
-    /// A learner connects: its count and its sequence length are what the limiter works with.
-    pub(crate) fn learner_connected(&self, sequence_length: u32, sampled_steps: u64) {
-        self.sequence_length
-            .store(sequence_length, Ordering::Relaxed);
+    /// The learner of a limited table connects: its count and its sequences are what the limiter works with.
+    pub(crate) fn learner_connected(&self, sampler: &Sampler, sampled_steps: u64) {
+        *self.learner() = Some(sampler.clone());
         self.limiter().set_sampled(sampled_steps);
         self.changed.notify_waiters();
     }
@@ -147,6 +148,8 @@ impl State {
             inserted_steps: stats.inserted_steps,
             sampled_steps: limiter.sampled_steps(),
             quarantined_records: stats.quarantined_records,
+            priority_updates: stats.priorities.applied,
+            ignored_priority_updates: stats.priorities.ignored,
             insert_waiting: self
                 .stall()
                 .or_else(|| limiter.why_insert_waits(can_sample))
@@ -160,8 +163,14 @@ impl State {
 
     /// Whether the learner could be served. Before one connects nobody knows its length, and one step will do.
     fn can_sample(&self) -> bool {
-        self.store
-            .can_sample(self.sequence_length.load(Ordering::Relaxed).max(1))
+        match &*self.learner() {
+            Some(sampler) => sampler.can_draw(),
+            None => self.store.stats().steps > 0,
+        }
+    }
+
+    fn learner(&self) -> MutexGuard<'_, Option<Sampler>> {
+        self.learner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn limiter(&self) -> MutexGuard<'_, RateLimiter> {

@@ -81,6 +81,34 @@ pub enum ReplayError {
         /// What is wrong with it.
         reason: &'static str,
     },
+    /// A table whose settings are out of range.
+    #[error("replay table `{table}` cannot be used: {reason}")]
+    InvalidTable {
+        /// The table.
+        table: String,
+        /// What is wrong with it.
+        reason: &'static str,
+    },
+    /// A priority that is negative or no number.
+    #[error(
+        "priority {priority} of step {start_step} of episode {episode_id} is out of range; send finite priorities of 0 or greater"
+    )]
+    InvalidPriority {
+        /// The episode.
+        episode_id: u64,
+        /// Index within the episode of the sequence's first step.
+        start_step: u32,
+        /// The priority.
+        priority: f32,
+    },
+    /// Priorities for a table that does not draw by them.
+    #[error(
+        "replay table `{table}` has no priorities; give it the selector `prioritized` or send it none"
+    )]
+    NoPriorities {
+        /// The table.
+        table: String,
+    },
     /// A peer of an older epoch.
     #[error(
         "actor `{actor_id}` epoch {epoch} is fenced off by epoch {newer}; a newer process with this actor id is connected, stop one of them"

@@ -3,7 +3,7 @@
 //! A library without a network and without an async runtime. [`Store::open`] gives two halves:
 //! - [`StoreWriter`], one per folder, which judges chunks (exactly once, epoch fencing), writes a group of
 //!   them, makes it durable with one `fdatasync` and only then lets the index know;
-//! - [`Store`], cloned freely, from which a [`Sampler`] draws sequences. Reads take no lock.
+//! - [`Store`], cloned freely, from which a [`Sampler`] of a [`Table`] draws sequences. Reads take no lock.
 //!
 //! The [`RateLimiter`] is pure accounting beside them.
 //!
@@ -26,12 +26,16 @@ mod recover;
 mod sampler;
 mod scan;
 mod segment;
+mod selector;
 mod store;
+mod table;
 mod writer;
 
 pub use error::ReplayError;
 pub use folder::StoreIdentity;
-pub use index::{IndexStats, SequenceRef};
+pub use index::{
+    Index, IndexStats, IndexedChunk, PriorityCounts, PriorityUpdate, Sequence, ViewHandle,
+};
 pub use inspect::{
     EpisodeSummary, Inspection, SegmentSummary, Verification, find_chunk, inspect, verify,
 };
@@ -40,8 +44,10 @@ pub use limiter::{Draw, LimiterOptions, RateLimiter};
 pub use log::{Appended, DurablePosition, LogPosition, SegmentLog, WrittenPosition};
 pub use record::{MAX_ACTOR_ID_BYTES, MAX_PAYLOAD_BYTES, Record, Snapshot};
 pub use recover::LogRecovery;
-pub use sampler::Sampler;
+pub use sampler::{Sampler, SequenceRef};
 pub use scan::Quarantined;
 pub use segment::ChunkRef;
+pub use selector::Selector;
 pub use store::{Recovery, Store, StoreOptions, StoreStats};
+pub use table::Table;
 pub use writer::StoreWriter;

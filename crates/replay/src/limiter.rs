@@ -90,7 +90,7 @@ impl RateLimiter {
         }
         if !can_sample {
             return Some(format!(
-                "no episode is long enough for a sequence yet: {} steps inserted",
+                "no episode is long enough for a sequence yet, or all were drawn: {} steps inserted",
                 self.inserted
             ));
         }

@@ -89,8 +89,4 @@ impl ChunkRef {
         };
         record::decode_chunk(&Bytes::from(frame)).map_err(damaged)
     }
-
-    pub(crate) fn same_place(&self, other: &Self) -> bool {
-        self.segment.number == other.segment.number && self.offset == other.offset
-    }
 }

@@ -1,17 +1,19 @@
 //! The shared half of a store: what is held, sampled by many.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use rand_chacha::ChaCha8Rng;
+use isodream_core::EpisodeId;
 
 use crate::folder::Folder;
-use crate::index::Index;
+use crate::index::{Index, IndexedChunk, PriorityCounts};
 use crate::ledger::Ledger;
 use crate::log::SegmentLog;
 use crate::recover::Recovered;
+use crate::segment::Segment;
 use crate::writer::StoreWriter;
-use crate::{ChunkRef, Quarantined, ReplayError, SequenceRef};
+use crate::{ChunkRef, Quarantined, ReplayError, Sampler, Table};
 
 /// Settings of a store.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -58,13 +60,54 @@ pub struct StoreStats {
     pub inserted_steps: u64,
     /// Damaged stretches met since the process started.
     pub quarantined_records: u64,
+    /// Priority updates since the process started.
+    pub priorities: PriorityCounts,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Held {
     pub(crate) index: Index,
+    /// The segments in which some chunk is held.
+    segments: BTreeMap<u64, Arc<Segment>>,
     pub(crate) inserted_steps: u64,
     quarantined: Vec<Quarantined>,
+    pub(crate) priorities: PriorityCounts,
+}
+
+impl Held {
+    pub(crate) fn insert(&mut self, episode_id: EpisodeId, ends_episode: bool, place: ChunkRef) {
+        let chunk = IndexedChunk {
+            segment: place.segment.number,
+            offset: place.offset,
+            bytes: place.frame_bytes,
+            first_step: place.first_step,
+            steps: place.steps,
+        };
+        self.segments.entry(chunk.segment).or_insert(place.segment);
+        self.index.insert(episode_id, ends_episode, chunk);
+    }
+
+    pub(crate) fn evict(&mut self, capacity_steps: u64) -> u64 {
+        let evicted = self.index.evict(capacity_steps);
+        self.release_segments();
+        evicted
+    }
+
+    fn release_segments(&mut self) {
+        let index = &self.index;
+        self.segments.retain(|number, _| index.is_live(*number));
+    }
+
+    /// Where a held chunk lies.
+    pub(crate) fn place(&self, chunk: &IndexedChunk) -> Option<ChunkRef> {
+        Some(ChunkRef {
+            segment: self.segments.get(&chunk.segment)?.clone(),
+            offset: chunk.offset,
+            frame_bytes: chunk.bytes,
+            first_step: chunk.first_step,
+            steps: chunk.steps,
+        })
+    }
 }
 
 /// A handle on what a store holds; clones share it.
@@ -86,9 +129,8 @@ impl Store {
         folder: &Path,
         options: &StoreOptions,
     ) -> Result<(StoreWriter, Self, Recovery), ReplayError> {
-        let mut index = Index::default();
+        let mut held = Held::default();
         let mut ledger = Ledger::default();
-        let mut inserted_steps = 0;
         let mut chunks = 0;
         let (log, found) = SegmentLog::open_with(
             Folder::open(folder)?,
@@ -96,12 +138,12 @@ impl Store {
             &mut |record| match record {
                 Recovered::Chunk(chunk, place) => {
                     chunks += 1;
-                    inserted_steps += u64::from(chunk.steps);
+                    held.inserted_steps += u64::from(chunk.steps);
                     ledger.recover(&chunk.actor_id, chunk.epoch, chunk.seq.saturating_add(1));
-                    index.insert(chunk.episode_id, chunk.ends_episode, place);
+                    held.insert(chunk.episode_id, chunk.ends_episode, place);
                 }
                 Recovered::Snapshot(snapshot) => {
-                    inserted_steps = snapshot.inserted_steps.max(inserted_steps);
+                    held.inserted_steps = snapshot.inserted_steps.max(held.inserted_steps);
                     for position in &snapshot.progress {
                         ledger.recover(&position.actor_id, position.epoch, position.next_seq);
                     }
@@ -132,12 +174,9 @@ impl Store {
             torn_bytes: found.torn_bytes,
             quarantined: found.quarantined.clone(),
         };
+        held.quarantined = found.quarantined;
         let store = Self {
-            held: Arc::new(Mutex::new(Held {
-                index,
-                inserted_steps,
-                quarantined: found.quarantined,
-            })),
+            held: Arc::new(Mutex::new(held)),
         };
         let mut writer = StoreWriter::new(log, ledger, store.clone(), options.capacity_steps);
         writer.evict();
@@ -149,19 +188,36 @@ impl Store {
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(crate) fn sample(&self, length: u32, rng: &mut ChaCha8Rng) -> Option<SequenceRef> {
-        self.lock().index.sample(length, rng)
-    }
-
-    /// Whether some episode holds `sequence_length` durable steps.
-    pub fn can_sample(&self, sequence_length: u32) -> bool {
-        self.lock().index.can_sample(sequence_length)
+    /// A sampler of sequences of `sequence_length` steps from `table`. Samplers of equal tables and lengths
+    /// share priorities and places in the queue. The first one of a kind takes time in proportion to what is
+    /// held.
+    ///
+    /// The same seed draws the same sequences from a store with the same history.
+    ///
+    /// # Errors
+    /// [`ReplayError::InvalidTable`] where a setting of the table is out of range or the length is 0.
+    pub fn sampler(
+        &self,
+        table: &Table,
+        sequence_length: u32,
+        seed: u64,
+    ) -> Result<Sampler, ReplayError> {
+        table.check()?;
+        if sequence_length == 0 {
+            return Err(ReplayError::InvalidTable {
+                table: table.name.clone(),
+                reason: "the sequence length is 0",
+            });
+        }
+        let view = self.lock().index.view(table, sequence_length);
+        Ok(Sampler::new(self.clone(), table.clone(), view, seed))
     }
 
     /// Takes a chunk that cannot be read out of the store, counted and listed.
     pub fn quarantine(&self, chunk: &ChunkRef, reason: &'static str) {
         let mut held = self.lock();
-        if held.index.remove(chunk) {
+        if held.index.remove(chunk.segment.number, chunk.offset) {
+            held.release_segments();
             held.quarantined.push(Quarantined {
                 segment: chunk.segment.path.clone(),
                 offset: chunk.offset,
@@ -186,6 +242,7 @@ impl Store {
             bytes: index.bytes,
             inserted_steps: held.inserted_steps,
             quarantined_records: held.quarantined.len() as u64,
+            priorities: held.priorities,
         }
     }
 }

@@ -137,15 +137,14 @@ impl StoreWriter {
         let mut held = self.store.lock();
         for (chunk, place) in chunks.zip(places) {
             held.inserted_steps += u64::from(chunk.steps);
-            held.index
-                .insert(chunk.episode_id, chunk.ends_episode, place);
+            held.insert(chunk.episode_id, chunk.ends_episode, place);
         }
         Ok(())
     }
 
     /// Evicts down to the capacity and deletes the segments that nobody needs.
     pub(crate) fn evict(&mut self) {
-        let evicted = self.store.lock().index.evict(self.capacity_steps);
+        let evicted = self.store.lock().evict(self.capacity_steps);
         let store = &self.store;
         match self
             .log

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use isodream_core::Chunk;
-use isodream_replay::{ReplayError, Sampler, Store, StoreOptions, verify};
+use isodream_replay::{ReplayError, Selector, Store, StoreOptions, Table, verify};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -89,12 +89,13 @@ fn a_thousand_damages_are_all_reported_and_never_served() {
 /// Draws until the damage is taken out of service: at opening, or when it is met.
 fn serve(folder: &Path) {
     let (_writer, store, _) = Store::open(folder, &OPTIONS).unwrap();
-    let mut sampler = Sampler::new(1, 10);
+    let table = Table::new("any", Selector::Episodes);
+    let mut sampler = store.sampler(&table, 10, 1).unwrap();
     for draw in 0..30 * CHUNKS {
         if draw >= CHUNKS && !store.quarantined().is_empty() {
             break;
         }
-        let Some(sequence) = sampler.draw(&store) else {
+        let Some(sequence) = sampler.draw() else {
             break;
         };
         match sequence.chunks[0].read() {

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 
 use isodream_core::Chunk;
 use isodream_replay::{
-    Outcome, Recovery, ReplayError, Sampler, SequenceRef, Store, StoreIdentity, StoreOptions,
-    StoreWriter,
+    Outcome, PriorityUpdate, Recovery, ReplayError, Sampler, Selector, SequenceRef, Store,
+    StoreIdentity, StoreOptions, StoreWriter, Table,
 };
 
 const ALL: StoreOptions = StoreOptions {
@@ -51,6 +51,12 @@ fn chunk(
 fn episode(seqs: std::ops::Range<u64>) -> Vec<Chunk> {
     seqs.map(|seq| chunk("a", 1, seq, 5, seq as u32 * 10, 10))
         .collect()
+}
+
+/// Draws as the paper does.
+fn sampler(store: &Store, seed: u64, length: u32) -> Sampler {
+    let table = Table::new("train", Selector::Episodes);
+    store.sampler(&table, length, seed).unwrap()
 }
 
 fn store_all(writer: &mut StoreWriter, chunks: Vec<Chunk>) {
@@ -129,7 +135,7 @@ fn a_chunk_sent_twice_is_stored_once_and_a_gap_is_answered() {
             Outcome::Stored { next_seq: 4 }
         ]
     );
-    let whole = Sampler::new(0, 40).draw(&store).unwrap();
+    let whole = sampler(&store, 0, 40).draw().unwrap();
     assert_eq!(read(&whole, 40).1, (0..40).collect::<Vec<_>>());
 }
 
@@ -219,9 +225,9 @@ fn the_oldest_episodes_go_and_counters_and_positions_stay() {
         "{on_disk} bytes on disk for {} held",
         stats.bytes
     );
-    let mut sampler = Sampler::new(1, 10);
+    let mut sampler = sampler(&store, 1, 10);
     for _ in 0..50 {
-        assert!(sampler.draw(&store).unwrap().episode_id >= 40);
+        assert!(sampler.draw().unwrap().episode_id >= 40);
     }
     drop(writer);
     let (mut writer, store, _) = open(folder.path(), &options);
@@ -262,9 +268,9 @@ fn episodes_of_several_actors_interleave() {
     }
     assert_eq!(store.stats().episodes, 2);
     // One chunk covers it only where it starts right: offset and number of chunks are exact everywhere.
-    let mut sampler = Sampler::new(3, 12);
+    let mut sampler = sampler(&store, 3, 12);
     for _ in 0..500 {
-        let sequence = sampler.draw(&store).unwrap();
+        let sequence = sampler.draw().unwrap();
         let (episode, steps) = read(&sequence, 12);
         assert!(steps.windows(2).all(|pair| pair[1] == pair[0] + 1));
         let per_chunk = if episode == 1 { 7 } else { 5 };
@@ -297,10 +303,10 @@ fn sampling_is_uniform_over_episodes_and_then_over_starts() {
         }
     }
     let draws = 30_000;
-    let mut sampler = Sampler::new(17, 8);
+    let mut sampler = sampler(&store, 17, 8);
     let mut counts: HashMap<(u64, u32), u64> = HashMap::new();
     for _ in 0..draws {
-        let (episode, steps) = read(&sampler.draw(&store).unwrap(), 8);
+        let (episode, steps) = read(&sampler.draw().unwrap(), 8);
         *counts.entry((episode, steps[0])).or_default() += 1;
     }
     for (episode, starts) in [(1_u64, 1_u32), (2, 5), (3, 23)] {
@@ -326,9 +332,9 @@ fn equal_seeds_draw_equal_sequences() {
     let (mut writer, store, _) = open(folder.path(), &ALL);
     store_all(&mut writer, episode(0..20));
     let draw = |seed| {
-        let mut sampler = Sampler::new(seed, 15);
+        let mut sampler = sampler(&store, seed, 15);
         (0..20)
-            .map(|_| read(&sampler.draw(&store).unwrap(), 15))
+            .map(|_| read(&sampler.draw().unwrap(), 15))
             .collect::<Vec<_>>()
     };
     assert_eq!(draw(1), draw(1));
@@ -339,11 +345,11 @@ fn equal_seeds_draw_equal_sequences() {
 fn nothing_is_drawn_from_too_little() {
     let folder = tempfile::tempdir().unwrap();
     let (mut writer, store, _) = open(folder.path(), &ALL);
-    assert!(Sampler::new(0, 1).draw(&store).is_none());
+    assert!(sampler(&store, 0, 1).draw().is_none());
     store_all(&mut writer, episode(0..1));
-    assert!(store.can_sample(10));
-    assert!(!store.can_sample(11));
-    assert!(Sampler::new(0, 11).draw(&store).is_none());
+    assert!(sampler(&store, 0, 10).can_draw());
+    assert!(!sampler(&store, 0, 11).can_draw());
+    assert!(sampler(&store, 0, 11).draw().is_none());
 }
 
 #[test]
@@ -351,7 +357,7 @@ fn damage_splits_an_episode_and_no_sequence_crosses_the_hole() {
     let folder = tempfile::tempdir().unwrap();
     let (mut writer, store, _) = open(folder.path(), &ALL);
     store_all(&mut writer, episode(0..9));
-    let place = Sampler::new(0, 90).draw(&store).unwrap().chunks.remove(4);
+    let place = sampler(&store, 0, 90).draw().unwrap().chunks.remove(4);
     let path = segments(folder.path()).remove(0);
     let mut content = fs::read(&path).unwrap();
     content[place.offset() as usize + 60] ^= 1;
@@ -366,7 +372,7 @@ fn damage_splits_an_episode_and_no_sequence_crosses_the_hole() {
     // ... the episode goes on behind it ...
     store_all(&mut writer, episode(9..10));
     assert_eq!(
-        Sampler::new(0, 50).draw(&store).unwrap().chunks[0].first_step(),
+        sampler(&store, 0, 50).draw().unwrap().chunks[0].first_step(),
         50
     );
     drop(writer);
@@ -378,15 +384,80 @@ fn damage_splits_an_episode_and_no_sequence_crosses_the_hole() {
 }
 
 fn check_the_hole(store: &Store) {
-    let mut sampler = Sampler::new(5, 20);
+    let mut sampler = sampler(store, 5, 20);
     for _ in 0..300 {
-        let (_, steps) = read(&sampler.draw(store).unwrap(), 20);
+        let (_, steps) = read(&sampler.draw().unwrap(), 20);
         assert!(
             steps.iter().all(|step| !(40..50).contains(step)),
             "{steps:?}"
         );
         assert!(steps.windows(2).all(|pair| pair[1] == pair[0] + 1));
     }
+}
+
+#[test]
+fn tables_share_the_chunks_and_nothing_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut writer, store, _) = open(folder.path(), &ALL);
+    store_all(&mut writer, episode(0..3));
+    let queue = |name| {
+        let table = Table::new(name, Selector::Fifo);
+        store.sampler(&table, 25, 0).unwrap()
+    };
+    let start = |sampler: &mut Sampler| sampler.draw().map(|sequence| sequence.start_step);
+    let (mut first, mut again, mut other) = (queue("a"), queue("a"), queue("b"));
+    assert_eq!(start(&mut first), Some(0));
+    assert_eq!(start(&mut again), Some(1), "the same table");
+    assert_eq!(start(&mut other), Some(0), "another table");
+    let bytes = store.stats().bytes;
+    for at in 2..6 {
+        let drawn = first.draw().unwrap();
+        assert_eq!(read(&drawn, 25).1, (at..at + 25).collect::<Vec<_>>());
+    }
+    assert_eq!(start(&mut first), None);
+    assert!(other.can_draw());
+    // Both see what arrives, and a table's place outlives its samplers.
+    drop((first, again));
+    store_all(&mut writer, episode(3..4));
+    assert_eq!(start(&mut queue("a")), Some(6));
+    assert_eq!(store.stats().bytes, bytes / 3 * 4, "stored once");
+}
+
+#[test]
+fn tables_and_priorities_out_of_range_are_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut writer, store, _) = open(folder.path(), &ALL);
+    store_all(&mut writer, episode(0..3));
+    let recent = |newest, probability| Selector::Recent {
+        newest,
+        probability,
+    };
+    for (selector, words) in [
+        (Selector::Prioritized { exponent: -1.0 }, "exponent"),
+        (Selector::Prioritized { exponent: f64::NAN }, "exponent"),
+        (recent(0, 0.5), "newest"),
+        (recent(1, 1.5), "probability"),
+    ] {
+        let error = store
+            .sampler(&Table::new("odd", selector), 5, 0)
+            .unwrap_err();
+        let error = error.to_string();
+        assert!(error.contains("`odd`") && error.contains(words), "{error}");
+    }
+    let table = Table::new("hard", Selector::Prioritized { exponent: 1.0 });
+    assert!(store.sampler(&table, 0, 0).is_err());
+    let hard = store.sampler(&table, 5, 0).unwrap();
+    let update = |priority| PriorityUpdate {
+        episode_id: 5,
+        start_step: 0,
+        priority,
+    };
+    let error = hard.update_priorities(&[update(1.0), update(-1.0)]);
+    assert!(error.unwrap_err().to_string().contains("-1"));
+    assert_eq!(store.stats().priorities.applied, 0, "nothing of the batch");
+    hard.update_priorities(&[update(2.0)]).unwrap();
+    assert_eq!(store.stats().priorities.applied, 1);
+    assert!(sampler(&store, 0, 5).update_priorities(&[]).is_err());
 }
 
 #[test]

@@ -19,6 +19,7 @@ mod error;
 pub mod limits;
 mod link_state;
 mod network;
+mod priorities;
 mod sample_client;
 mod sample_link;
 mod sample_merge;
@@ -37,6 +38,7 @@ pub use environment::{
 };
 pub use error::{RpcError, ServiceError, is_refusal};
 pub use network::{Network, Resolving, Tcp};
+pub use priorities::{PriorityHandle, PriorityUpdate};
 pub use sample_client::{SampleClient, SampleOptions, SampledSequence};
 pub use sample_watch::SampleWatch;
 pub use sequence::SequenceError;

@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use isodream_core::Chunk;
+use isodream_core::{Chunk, EpisodeId};
 use isodream_proto::Identity;
 use tokio::sync::mpsc;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
 use crate::append_client::check_addresses;
+use crate::priorities::{PriorityHandle, PriorityUpdate, priorities};
 use crate::sample_merge::SampleMerge;
 use crate::sample_watch::SampleWatch;
 use crate::{Network, RpcError, Tcp};
@@ -23,11 +24,13 @@ pub struct SampleOptions {
     pub identity: Identity,
     /// Steps per sequence.
     pub sequence_length: u32,
+    /// The servers' table to draw from.
+    pub table: String,
     /// Seed of the draws.
     pub seed: u64,
     /// Sequences on their way or buffered at most; at least one batch, and more than there are servers.
     pub prefetch: usize,
-    /// Steps drawn under the limiter of each store so far: empty, or [`SampledSequence::sampled_steps`] of the
+    /// Steps drawn from a limited table of each store so far: empty, or [`SampledSequence::sampled_steps`] of the
     /// last sequence of each [`SampledSequence::store_id`] that a checkpoint has seen.
     pub sampled_steps: BTreeMap<String, u64>,
     /// The first sequences, for pretraining, which do not count against the limiter.
@@ -35,8 +38,14 @@ pub struct SampleOptions {
 }
 
 /// A drawn sequence, still compressed.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct SampledSequence {
+    /// The episode.
+    pub episode_id: EpisodeId,
+    /// Index within the episode of the sequence's first step.
+    pub start_step: u32,
+    /// Probability of this draw among all that its store could have made, for importance weights.
+    pub probability: f64,
     /// Contiguous chunks that cover the sequence.
     pub chunks: Vec<Chunk>,
     /// Steps of the first chunk that precede the sequence.
@@ -58,6 +67,7 @@ pub struct SampledSequence {
 #[derive(Debug)]
 pub struct SampleClient {
     sequences: mpsc::Receiver<SampledSequence>,
+    priorities: PriorityHandle,
     watch: SampleWatch,
     peers: String,
     _task: DropGuard,
@@ -88,12 +98,14 @@ impl SampleClient {
         let capacity = options.prefetch.max(2 * options.addresses.len());
         let (sender, sequences) = mpsc::channel(capacity);
         let watch = SampleWatch::default();
-        let merge = SampleMerge::new(network, options, sender, watch.clone());
+        let (priorities, updates) = priorities(watch.clone(), peers.clone());
+        let merge = SampleMerge::new(network, options, sender, updates, watch.clone());
         let cancel = CancellationToken::new();
         let cancelled = cancel.clone();
         tokio::spawn(cancelled.run_until_cancelled_owned(merge.run()));
         Ok(Self {
             sequences,
+            priorities,
             watch,
             peers,
             _task: cancel.drop_guard(),
@@ -121,6 +133,19 @@ impl SampleClient {
         sequence.ok_or_else(|| self.end())
     }
 
+    /// [`PriorityHandle::update`].
+    ///
+    /// # Errors
+    /// As there.
+    pub async fn update_priorities(&self, updates: Vec<PriorityUpdate>) -> Result<(), RpcError> {
+        self.priorities.update(updates).await
+    }
+
+    /// A handle that sets priorities while another thread holds the client.
+    pub fn priorities(&self) -> PriorityHandle {
+        self.priorities.clone()
+    }
+
     /// Sequences that [`SampleClient::next`] would return at once.
     pub fn buffered(&self) -> usize {
         self.sequences.len()
@@ -137,8 +162,6 @@ impl SampleClient {
     }
 
     fn end(&self) -> RpcError {
-        self.watch.ended().unwrap_or_else(|| RpcError::Closed {
-            peer: format!("replay-server {}", self.peers),
-        })
+        self.watch.end_of(&self.peers)
     }
 }

@@ -19,6 +19,7 @@ use crate::channel::replay_client_over;
 use crate::limits::RESOLVE_INTERVAL;
 use crate::link_state::LinkState;
 use crate::network::resolve_all;
+use crate::priorities::{BATCHES_AHEAD, PriorityUpdate, message};
 use crate::sample_link::{Event, SampleLink};
 use crate::sample_watch::SampleWatch;
 use crate::{Network, SampleOptions, SampledSequence};
@@ -34,6 +35,7 @@ pub(crate) struct SampleMerge {
     options: SampleOptions,
     watch: SampleWatch,
     sequences: mpsc::Sender<SampledSequence>,
+    priorities: mpsc::Receiver<Vec<PriorityUpdate>>,
     /// Room in the channel, one for each sequence that is or will be asked for: credits never exceed it.
     room: VecDeque<OwnedPermit<SampledSequence>>,
     servers: BTreeMap<String, Server>,
@@ -58,12 +60,14 @@ impl SampleMerge {
         network: Arc<dyn Network>,
         options: SampleOptions,
         sequences: mpsc::Sender<SampledSequence>,
+        priorities: mpsc::Receiver<Vec<PriorityUpdate>>,
         watch: SampleWatch,
     ) -> Self {
         let sampled_steps = options.sampled_steps.iter();
         Self {
             network,
             sequences,
+            priorities,
             watch,
             room: VecDeque::new(),
             servers: BTreeMap::new(),
@@ -102,6 +106,7 @@ impl SampleMerge {
                     Ok(room) => self.room.push_back(room),
                     Err(_) => return,
                 },
+                Some(updates) = self.priorities.recv() => self.send_priorities(&updates),
                 Some(addresses) = looked_up.recv() => {
                     for address in addresses {
                         if !linked.contains(&address) && let Some(link) = self.link(&address, &events) {
@@ -122,10 +127,33 @@ impl SampleMerge {
             address: address.to_owned(),
             client,
             state,
-            // Room for the hello and for as many grants as there can be sequences.
-            requests_ahead: self.sequences.max_capacity() + 1,
+            requests_ahead: self.credits_ahead() + BATCHES_AHEAD,
             events: events.clone(),
         })
+    }
+
+    /// Requests queued for a server without priorities: the hello and as many grants as there can be sequences.
+    fn credits_ahead(&self) -> usize {
+        self.sequences.max_capacity() + 1
+    }
+
+    /// Hands updates to the servers that their sequences came from, where these are there and keep up.
+    fn send_priorities(&self, updates: &[PriorityUpdate]) {
+        for server in self.servers.values() {
+            let ours = updates
+                .iter()
+                .filter(|update| update.store_id == server.store_id);
+            let batch = message(ours);
+            if batch.priorities.is_empty() {
+                continue;
+            }
+            // Priorities never take the place of a credit.
+            if server.requests.capacity() > self.credits_ahead() {
+                let _ = server.requests.try_send(request(Kind::Priorities(batch)));
+            } else {
+                tracing::debug!(store_id = %server.store_id, "dropped priorities: the server is behind");
+            }
+        }
     }
 
     fn happened(&mut self, address: String, event: Event) {
@@ -179,6 +207,7 @@ impl SampleMerge {
             sampled_steps,
             seed: derive_seed(self.options.seed, &["sample", &path[0], &path[1]]),
             store_id: store_id.to_string(),
+            table: self.options.table.clone(),
             waiting_credits: WAITING_CREDITS,
         };
         // Room is certain: the queue is new.
@@ -283,6 +312,9 @@ impl SampleMerge {
             *sampled_steps += u64::from(self.options.sequence_length);
         }
         room.send(SampledSequence {
+            episode_id: reply.episode_id,
+            start_step: reply.start_step,
+            probability: reply.probability,
             chunks,
             offset: reply.offset,
             store_id,

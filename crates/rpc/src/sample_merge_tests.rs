@@ -4,6 +4,8 @@ use super::*;
 use crate::Tcp;
 
 const PREFETCH: usize = 40;
+/// Batches of priorities that wait for a server.
+const PRIORITIES: usize = 3;
 
 struct Bench {
     merge: SampleMerge,
@@ -21,14 +23,17 @@ impl Bench {
                 model_hash: String::new(),
             },
             sequence_length: 5,
+            table: "train".into(),
             seed: 1,
             prefetch: PREFETCH,
             sampled_steps: BTreeMap::from([("store-a".to_owned(), 100)]),
             unlimited_sequences,
         };
         let (sender, sequences) = mpsc::channel(PREFETCH);
+        let (_, priorities) = mpsc::channel(1);
+        let watch = SampleWatch::default();
         Self {
-            merge: SampleMerge::new(Arc::new(Tcp), options, sender, SampleWatch::default()),
+            merge: SampleMerge::new(Arc::new(Tcp), options, sender, priorities, watch),
             sequences,
             requests: BTreeMap::new(),
         }
@@ -36,7 +41,7 @@ impl Bench {
 
     /// Whether the merge wants the server; its hello is returned as well.
     fn found(&mut self, name: &'static str, store: &str, steps: u64) -> Option<SampleHello> {
-        let (requests, mut received) = mpsc::channel(PREFETCH + 1);
+        let (requests, mut received) = mpsc::channel(PREFETCH + 1 + PRIORITIES);
         let status = ReplayStatus {
             steps,
             inserted_steps: 2 * steps,
@@ -186,4 +191,33 @@ async fn a_server_that_sends_unasked_is_dropped() {
     bench.merge.happened("a".into(), Event::Reply(reply));
     assert!(bench.merge.servers.is_empty());
     assert!(bench.sequences.try_recv().is_err());
+}
+
+#[tokio::test]
+async fn priorities_go_to_the_store_they_came_from_and_leave_room_for_credits() {
+    let mut bench = Bench::new(0);
+    bench.found("a", "store-a", 1_000).expect("wanted");
+    bench.found("b", "store-b", 1_000).expect("wanted");
+    let update = |store: &str, episode_id| PriorityUpdate {
+        store_id: store.into(),
+        episode_id,
+        start_step: 3,
+        priority: 0.5,
+    };
+    for episode in 0..9 {
+        let updates = vec![update("store-a", episode), update("store-gone", 1)];
+        bench.merge.send_priorities(&updates);
+    }
+    let received = bench.requests.get_mut("a").expect("found before");
+    for episode in 0..PRIORITIES as u64 {
+        let request = received.try_recv().expect("a batch");
+        let Some(Kind::Priorities(batch)) = request.kind else {
+            panic!("{request:?}");
+        };
+        assert_eq!(batch.episode_ids, [episode]);
+        assert_eq!((batch.start_steps, batch.priorities), (vec![3], vec![0.5]));
+    }
+    // The other server got none, and no credit was lost.
+    let (a, b) = (bench.credits("a"), bench.credits("b"));
+    assert_eq!(a.0 + b.0, PREFETCH as u32);
 }

@@ -58,6 +58,13 @@ impl SampleWatch {
         self.ending.set(error);
     }
 
+    /// Why the client of `peers` is at its end.
+    pub(crate) fn end_of(&self, peers: &str) -> RpcError {
+        self.ended().unwrap_or_else(|| RpcError::Closed {
+            peer: format!("replay-server {peers}"),
+        })
+    }
+
     pub(crate) fn ended(&self) -> Option<RpcError> {
         self.ending.get()
     }

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use isodream_replay::{Sampler, Store, StoreOptions, inspect};
+use isodream_replay::{Selector, Store, StoreOptions, Table, inspect};
 use isodream_rpc::AppendClient;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -217,10 +217,11 @@ fn check(folder: &Path, chunks: u64) {
     let (_, store, recovery) = Store::open(folder, &StoreOptions::default()).unwrap();
     assert_eq!(recovery.quarantined, []);
     assert_eq!(recovery.chunks, chunks * ACTORS);
-    let mut sampler = Sampler::new(1, chunks as u32 * STEPS);
+    let table = Table::new("any", Selector::Episodes);
+    let mut sampler = store.sampler(&table, chunks as u32 * STEPS, 1).unwrap();
     let mut seen = BTreeSet::new();
     while seen.len() < ACTORS as usize {
-        let whole = sampler.draw(&store).unwrap();
+        let whole = sampler.draw().unwrap();
         if seen.insert(whole.episode_id) {
             assert_eq!(whole.chunks.len() as u64, chunks);
             for (seq, place) in (0..).zip(&whole.chunks) {

@@ -88,7 +88,7 @@ async fn hanging_learner(address: &str) -> impl Sized {
     let hello = SampleHello {
         handshake: Some(identity().handshake()),
         sequence_length: 50,
-        sampled_steps: 0,
+        table: "train".into(),
         seed: 1,
         ..SampleHello::default()
     };

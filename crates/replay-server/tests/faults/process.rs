@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use isodream_core::{Chunk, EnvSpec, ImageShape};
 use isodream_proto::Identity;
 use isodream_proto::v1::ReplayStatusRequest;
-use isodream_replay::{LimiterOptions, StoreOptions};
-use isodream_replay_server::{ServerOptions, is_disk_failure, serve};
+use isodream_replay::{LimiterOptions, Selector, StoreOptions, Table};
+use isodream_replay_server::{ServedTable, ServerOptions, is_disk_failure, serve};
 use isodream_rpc::limits::FAILOVER_AFTER;
 use isodream_rpc::{AppendClient, AppendOptions};
 use tokio_util::sync::CancellationToken;
@@ -45,6 +45,10 @@ fn server_role() {
             samples_per_insert: 0.0,
             tolerance_steps: 0.0,
         },
+        tables: vec![ServedTable {
+            table: Table::new("train", Selector::Episodes),
+            limited: true,
+        }],
     };
     let served = tokio::runtime::Runtime::new().unwrap().block_on(async {
         let listener = isodream_rpc::bind(&address).await?;

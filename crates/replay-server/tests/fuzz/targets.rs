@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use isodream_core::{Chunk, EnvSpec, ImageShape, Step, Steps, codec};
 use isodream_proto::{Identity, v1};
-use isodream_replay::{Sampler, Store, StoreOptions};
+use isodream_replay::{Selector, Store, StoreOptions, Table};
 use prost::Message;
 
 fn identity() -> Identity {
@@ -147,8 +147,9 @@ pub(crate) fn open_segment(bytes: &[u8]) {
         std::fs::write(segment, bytes).unwrap();
         if let Ok((_, store, recovery)) = Store::open(folder.path(), &StoreOptions::default()) {
             assert!(recovery.torn_bytes <= bytes.len() as u64);
-            let mut sampler = Sampler::new(1, 1);
-            if let Some(sequence) = sampler.draw(&store) {
+            let table = Table::new("any", Selector::Episodes);
+            let mut sampler = store.sampler(&table, 1, 1).unwrap();
+            if let Some(sequence) = sampler.draw() {
                 for place in sequence.chunks {
                     if let Ok(chunk) = place.read() {
                         decode_payload(&chunk.payload);

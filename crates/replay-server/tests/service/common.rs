@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use isodream_core::{Chunk, EnvSpec, ImageShape};
 use isodream_proto::Identity;
-use isodream_replay::{LimiterOptions, StoreOptions};
-use isodream_replay_server::{ServerOptions, serve};
+use isodream_replay::{LimiterOptions, Selector, StoreOptions, Table};
+use isodream_replay_server::{ServedTable, ServerOptions, serve};
 use isodream_rpc::{AppendClient, AppendOptions, RpcError, SampleClient, SampleOptions};
 use tokio::runtime::Runtime;
 use tokio::task::JoinHandle;
@@ -48,6 +48,7 @@ impl Server {
                 segment_bytes: 8192,
             },
             limiter,
+            tables: tables(),
         };
         let since = Instant::now();
         loop {
@@ -104,6 +105,20 @@ impl Server {
     }
 }
 
+/// What every server here serves; only `train` is limited.
+fn tables() -> Vec<ServedTable> {
+    [
+        ("train", Selector::Episodes),
+        ("hard", Selector::Prioritized { exponent: 1.0 }),
+        ("queue", Selector::Fifo),
+    ]
+    .map(|(name, selector)| ServedTable {
+        table: Table::new(name, selector),
+        limited: name == "train",
+    })
+    .into()
+}
+
 pub(crate) fn spec(id: &str) -> EnvSpec {
     EnvSpec {
         id: id.to_owned(),
@@ -143,6 +158,7 @@ pub(crate) fn sampling(address: &str, sequence_length: u32) -> SampleOptions {
         addresses: vec![address.to_owned()],
         identity: identity("highway/day"),
         sequence_length,
+        table: "train".into(),
         seed: 1,
         prefetch: 4,
         sampled_steps: BTreeMap::new(),

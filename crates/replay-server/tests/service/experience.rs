@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use crate::common::{DEADLINE, NO_LIMIT, STEPS, Server, actor, chunk, learner, payload, sampling};
 use isodream_proto::v1::ReplayStatusRequest;
-use isodream_replay::{LimiterOptions, Sampler, Store, StoreOptions};
+use isodream_replay::{LimiterOptions, Selector, Store, StoreOptions, Table};
 use isodream_rpc::{AppendClient, SampleClient};
 
 #[test]
@@ -101,7 +101,9 @@ fn a_server_that_dies_again_and_again_keeps_every_acknowledged_chunk_exactly_onc
     assert_eq!(recovery.chunks, CHUNKS);
     assert!(recovery.quarantined.is_empty());
     // One unbroken episode of all steps is every chunk, once, in order.
-    let whole = Sampler::new(0, CHUNKS as u32 * STEPS).draw(&store).unwrap();
+    let steps = Table::new("any", Selector::Steps);
+    let mut sampler = store.sampler(&steps, CHUNKS as u32 * STEPS, 0).unwrap();
+    let whole = sampler.draw().unwrap();
     assert_eq!(whole.chunks.len() as u64, CHUNKS);
     for (index, place) in (0..).zip(&whole.chunks) {
         let found = place.read().unwrap();

@@ -10,3 +10,4 @@ mod messages;
 mod refusals;
 mod shards;
 mod shutdown;
+mod tables;

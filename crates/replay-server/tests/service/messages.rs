@@ -79,6 +79,7 @@ fn sample_hello(handshake: Handshake) -> sample_request::Kind {
     sample_request::Kind::Hello(SampleHello {
         handshake: Some(handshake),
         sequence_length: 5,
+        table: "train".into(),
         ..SampleHello::default()
     })
 }

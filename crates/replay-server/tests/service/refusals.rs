@@ -263,6 +263,7 @@ fn a_folder_in_use_is_named() {
         folder: folder.path().to_owned(),
         store: isodream_replay::StoreOptions::default(),
         limiter: NO_LIMIT,
+        tables: Vec::new(),
     };
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let error = runtime.block_on(async {

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::time::Duration;
 
-use isodream_replay::{LimiterOptions, Sampler, Store, StoreOptions};
+use isodream_replay::{LimiterOptions, Selector, Store, StoreOptions, Table};
 use isodream_rpc::{AppendClient, SampleClient};
 use tokio::runtime::Runtime;
 
@@ -15,11 +15,12 @@ use crate::common::{
 /// First steps of all chunks in a folder whose server is gone.
 fn first_steps(folder: &Path) -> Vec<u32> {
     let (_, store, recovery) = Store::open(folder, &StoreOptions::default()).unwrap();
-    let mut sampler = Sampler::new(0, STEPS);
+    let table = Table::new("any", Selector::Episodes);
+    let mut sampler = store.sampler(&table, STEPS, 0).unwrap();
     let mut found = BTreeSet::new();
     // More than enough draws to see each of the few chunks.
     for _ in 0..recovery.chunks * 200 {
-        for place in sampler.draw(&store).unwrap().chunks {
+        for place in sampler.draw().unwrap().chunks {
             let read = place.read().unwrap();
             assert_eq!(read.payload, payload(u64::from(read.first_step / STEPS)));
             found.insert(read.first_step);

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use isodream_core::Chunk;
-use isodream_replay::{Sampler, Store, StoreOptions};
+use isodream_replay::{Selector, Store, StoreOptions, Table};
 use isodream_rpc::SampledSequence;
 
 use crate::roles::{LENGTH, LIMITER, PREFETCH, SPOOL_CHUNKS, STEPS};
@@ -104,13 +104,14 @@ fn read(folder: &Path) -> Stored {
     };
     assert!(recovery.quarantined.is_empty());
     let mut chunks = BTreeMap::new();
-    let mut sampler = Sampler::new(1, STEPS);
+    let table = Table::new("any", Selector::Episodes);
+    let mut sampler = store.sampler(&table, STEPS, 1).expect("valid");
     // Far more draws than it takes to see each once.
     for _ in 0..recovery.chunks * 200 {
         if chunks.len() as u64 == recovery.chunks {
             break;
         }
-        for place in sampler.draw(&store).expect("not empty").chunks {
+        for place in sampler.draw().expect("not empty").chunks {
             let position = (place.segment(), place.offset());
             chunks
                 .entry(position)

@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use isodream_core::{EnvSpec, ImageShape};
 use isodream_proto::Identity;
-use isodream_replay::{LimiterOptions, StoreOptions};
-use isodream_replay_server::{ServerOptions, serve_connections};
+use isodream_replay::{LimiterOptions, Selector, StoreOptions, Table};
+use isodream_replay_server::{ServedTable, ServerOptions, serve_connections};
 use isodream_rpc::{AppendClient, AppendOptions, SampleClient, SampleOptions};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -63,6 +63,10 @@ pub(crate) async fn server(folder: PathBuf) -> Ended {
                 segment_bytes: 8192,
             },
             limiter: LIMITER,
+            tables: vec![ServedTable {
+                table: Table::new("train", Selector::Episodes),
+                limited: true,
+            }],
         };
         let never = CancellationToken::new();
         let served = serve_connections(options, connections(listener), never).await;
@@ -154,6 +158,7 @@ pub(crate) async fn learner(seed: u64, shared: Shared) -> Ended {
         addresses: addresses(),
         identity: identity(),
         sequence_length: LENGTH,
+        table: "train".into(),
         seed,
         prefetch: PREFETCH,
         sampled_steps,
