@@ -94,11 +94,33 @@ impl Chunks {
         at.ok().map(|at| self.first + at as u64)
     }
 
-    /// The chunk that holds a step, by the step's number.
+    /// The chunk that holds a step, by the step's number, which is held. Looks first where it would be if all
+    /// chunks had the same length, and from there in strides that double.
     pub(super) fn with_step(&self, number: u64) -> u64 {
-        let behind = self
-            .entries
-            .partition_point(|entry| entry.first_number <= number);
-        self.first + behind as u64 - 1
+        let (first, front) = self.front();
+        let len = self.entries.len();
+        let share = (number - front) as u128 * len as u128;
+        let guess = (share / u128::from(self.next_number - front)) as usize;
+        let is_behind = |at: usize| self.entries[at].first_number > number;
+        let (mut low, mut high, mut stride) = (guess, guess + 1, 1);
+        while low > 0 && is_behind(low) {
+            high = low;
+            low = low.saturating_sub(stride);
+            stride *= 2;
+        }
+        while high < len && !is_behind(high) {
+            low = high;
+            high = (high + stride).min(len);
+            stride *= 2;
+        }
+        while high - low > 1 {
+            let middle = low + (high - low) / 2;
+            if is_behind(middle) {
+                high = middle;
+            } else {
+                low = middle;
+            }
+        }
+        first + low as u64
     }
 }

@@ -85,15 +85,17 @@ impl Index {
         view: &ViewHandle,
         updates: &[PriorityUpdate],
     ) -> PriorityCounts {
+        // Two passes, because the processor waits for memory in each, and short loops wait for several at once.
+        let numbers: Vec<_> = updates
+            .iter()
+            .map(|update| self.last_step(update.episode_id, update.start_step, view.length))
+            .collect();
         let mut applied = 0;
-        for update in updates {
-            let Some(number) = self.last_step(update.episode_id, update.start_step, view.length)
-            else {
-                continue;
-            };
-            let held = self.views.iter_mut().find(|held| held.id == view.id);
-            let set = held.is_some_and(|held| held.selection.set_priority(number, update.priority));
-            applied += u64::from(set);
+        if let Some(held) = self.views.iter_mut().find(|held| held.id == view.id) {
+            for (number, update) in numbers.into_iter().zip(updates) {
+                let set = |number| held.selection.set_priority(number, update.priority);
+                applied += u64::from(number.is_some_and(set));
+            }
         }
         PriorityCounts {
             applied,
