@@ -3,6 +3,7 @@
 //! The defaults are the paper's driving setup, so a field's default is its value in the paper, or in the
 //! authors' code where the paper is silent or the published numbers come from the code; the field says so. An unknown key is refused with the nearest known one.
 
+mod check;
 mod environment;
 mod load;
 mod model;
