@@ -125,6 +125,9 @@ mod tests {
         SampledSequence {
             chunks: vec![chunk(0, 3), chunk(3, 3), chunk(6, 3)],
             offset,
+            episode_id: 1,
+            start_step: offset,
+            probability: 1.0,
             store_id: "store".into(),
             sampled_steps: 5,
         }

@@ -9,6 +9,7 @@ use isodream_core::codec::{Decoder, Rows};
 use isodream_rpc::{SampleClient, SampleOptions, SampledSequence};
 
 use super::part::{Done, Work, answer};
+use super::server::TABLE;
 use super::{frames, probes};
 
 /// Memory of a batch.
@@ -69,6 +70,7 @@ fn draw(
             let _inside = runtime.enter();
             SampleClient::start(SampleOptions {
                 addresses: vec![work.address.clone()],
+                table: TABLE.to_owned(),
                 identity: work.identity(&frames::spec(work)?),
                 sequence_length: work.batch_length as u32,
                 seed: 1,

@@ -1,13 +1,16 @@
 //! The replay-server as a process of the benchmark.
 
 use anyhow::Context;
-use isodream_replay::{LimiterOptions, StoreOptions};
-use isodream_replay_server::{ServerOptions, serve};
+use isodream_replay::{LimiterOptions, Selector, StoreOptions, Table};
+use isodream_replay_server::{ServedTable, ServerOptions, serve};
 use serde::{Deserialize, Serialize};
 use tokio_util::sync::CancellationToken;
 
 use super::part::{Work, answer};
 use super::probes;
+
+/// The table that is drawn from.
+pub(super) const TABLE: &str = "train";
 
 /// What the server has used so far.
 #[derive(Debug, Serialize, Deserialize)]
@@ -32,6 +35,10 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
             samples_per_insert: 0.0,
             tolerance_steps: 0.0,
         },
+        tables: vec![ServedTable {
+            table: Table::new(TABLE, Selector::Episodes),
+            limited: false,
+        }],
     };
     let shutdown = CancellationToken::new();
     let running = runtime.spawn(serve(options, listener, shutdown.clone()));
