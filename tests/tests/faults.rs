@@ -1,9 +1,10 @@
 //! Roles are killed in mid-run, and the run goes on without losing anything it had acknowledged.
 
+use std::io::{Read, Write};
 use std::path::Path;
 use std::time::Duration;
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use isodream_learner::checkpoint::Checkpoint;
 use isodream_tests::{Running, free_address, learner_status, replay_status, until};
 
@@ -14,6 +15,7 @@ const LATER: Duration = Duration::from_secs(180);
 struct Run {
     folder: tempfile::TempDir,
     replay: String,
+    metrics: String,
     learner: String,
 }
 
@@ -22,6 +24,7 @@ impl Run {
         Ok(Self {
             folder: tempfile::tempdir()?,
             replay: free_address()?,
+            metrics: free_address()?,
             learner: free_address()?,
         })
     }
@@ -39,6 +42,8 @@ impl Run {
             &self.path("replay"),
             "--listen",
             &self.replay,
+            "--metrics-listen",
+            &self.metrics,
         ])
     }
 
@@ -142,5 +147,74 @@ fn a_run_survives_the_death_of_every_role() -> Result<()> {
     ] {
         ensure!(metrics.contains(name), "metrics.jsonl has no {name}");
     }
+    Ok(())
+}
+
+/// Memory of a process that it shares with no other, in KiB.
+fn own_kib(id: u32) -> Result<u64> {
+    let status = std::fs::read_to_string(format!("/proc/{id}/status"))?;
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("RssAnon:"));
+    let words = line.context("no RssAnon in the status of a process")?;
+    Ok(words.trim().trim_end_matches("kB").trim().parse()?)
+}
+
+/// What Prometheus would get.
+fn scraped(address: &str) -> Result<String> {
+    let mut stream = std::net::TcpStream::connect(address)?;
+    write!(stream, "GET /metrics HTTP/1.0\r\nHost: x\r\n\r\n")?;
+    let mut text = String::new();
+    stream.read_to_string(&mut text)?;
+    Ok(text)
+}
+
+#[test]
+fn a_stopped_learner_holds_the_actors_and_costs_no_memory() -> Result<()> {
+    let run = Run::new()?;
+    let replay = run.start_replay()?;
+    let learner = run.start_learner()?;
+    let _actor = run.start_actor("actor-0", "collect")?;
+    let before = run.wait_for_updates(8)?;
+
+    learner.signal("STOP")?;
+    let held = until("inserts wait", SOON, || {
+        Ok(replay_status(&run.replay)?.filter(|status| !status.insert_waiting.is_empty()))
+    })?;
+    ensure!(
+        held.insert_waiting.contains("the learner is behind"),
+        "{held:?}"
+    );
+    let memory = own_kib(replay.id())?;
+    std::thread::sleep(Duration::from_secs(8));
+    let later = until("replay answers", SOON, || replay_status(&run.replay))?;
+    ensure!(
+        later.inserted_steps == held.inserted_steps,
+        "inserts went on: {} and {}",
+        held.inserted_steps,
+        later.inserted_steps
+    );
+    let grown = own_kib(replay.id())?.saturating_sub(memory);
+    ensure!(
+        grown < 4096,
+        "replay grew by {grown} KiB while nobody moved"
+    );
+    let metrics = scraped(&run.metrics)?;
+    for expected in [
+        "replay_insert_waiting 1",
+        "replay_sample_waiting 0",
+        &format!("replay_inserted_steps_total {}", later.inserted_steps),
+        "replay_commit_seconds",
+    ] {
+        ensure!(metrics.contains(expected), "{expected} is not in {metrics}");
+    }
+
+    learner.signal("CONT")?;
+    run.wait_for_updates(before + 10)?;
+    let after = until("replay answers", SOON, || replay_status(&run.replay))?;
+    ensure!(
+        after.inserted_steps > later.inserted_steps,
+        "inserts do not go on"
+    );
     Ok(())
 }

@@ -1,5 +1,6 @@
 //! One role per process.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -9,9 +10,10 @@ use isodream_actor::ActorOptions;
 use isodream_core::Config;
 use isodream_core::config::{SelectorKind, TableConfig};
 use isodream_learner::{Finished, LearnerOptions};
-use isodream_replay::{LimiterOptions, Selector, StoreOptions, Table};
+use isodream_replay::{Capacity, LimiterOptions, Selector, StoreOptions, Table};
 use isodream_replay_server::{ServedTable, ServerOptions};
 use isodream_rpc::{ENVIRONMENT_PATIENCE, environment_spec, shutdown_on_signal};
+use metrics_exporter_prometheus::PrometheusBuilder;
 use tokio_util::sync::CancellationToken;
 
 use crate::config_args::ConfigArgs;
@@ -66,6 +68,9 @@ pub(crate) struct ServerArgs {
     /// Where to listen
     #[arg(long, default_value = "127.0.0.1:7001")]
     listen: String,
+    /// Where Prometheus finds metrics; nowhere by default
+    #[arg(long)]
+    metrics_listen: Option<SocketAddr>,
 }
 
 /// Options of `isodream learner`.
@@ -144,9 +149,20 @@ pub(crate) async fn replay(args: ServerArgs) -> anyhow::Result<()> {
     let config = args.role.config.load()?;
     let shutdown = args.role.shutdown()?;
     let listener = isodream_rpc::bind(&args.listen).await?;
+    if let Some(address) = args.metrics_listen {
+        PrometheusBuilder::new()
+            .with_http_listener(address)
+            .install()
+            .with_context(|| format!("cannot serve metrics at {address}"))?;
+    }
     // The parser asks for it unless there is a subcommand.
     let dir = args.dir.context("--dir is missing")?;
     isodream_replay_server::serve(server_options(&config, dir), listener, shutdown).await
+}
+
+/// A setting whose 0 means that there is no limit.
+fn limit(setting: u64) -> u64 {
+    if setting == 0 { u64::MAX } else { setting }
 }
 
 fn server_options(config: &Config, folder: PathBuf) -> ServerOptions {
@@ -154,9 +170,9 @@ fn server_options(config: &Config, folder: PathBuf) -> ServerOptions {
     ServerOptions {
         folder,
         store: StoreOptions {
-            capacity_steps: match config.replay.capacity_steps {
-                0 => u64::MAX,
-                steps => steps,
+            capacity: Capacity {
+                steps: limit(config.replay.capacity_steps),
+                bytes: limit(config.replay.capacity_mb.saturating_mul(1_000_000)),
             },
             segment_bytes: config.replay.segment_bytes,
         },

@@ -12,6 +12,7 @@ use tokio::sync::{mpsc, oneshot};
 
 use crate::append::Progress;
 use crate::errors::service_error;
+use crate::metrics;
 use crate::state::{Admission, State, stopping};
 
 /// Payload bytes after which a group is closed: about 100 ms of a slow disk.
@@ -150,6 +151,7 @@ impl Committer {
         }
         // Payloads are shared, not copied.
         let chunks = self.pending.iter().map(|held| held.chunk.clone()).collect();
+        let begun = Instant::now();
         let result = match self.writer.commit(chunks) {
             Err(error @ ReplayError::Full { .. }) => {
                 self.wait_for_room(&error);
@@ -164,10 +166,11 @@ impl Committer {
             }
             self.state.set_stall(None);
         }
-        self.pending_bytes = 0;
+        let bytes = std::mem::take(&mut self.pending_bytes);
         let pending = std::mem::take(&mut self.pending);
         let result = match result {
             Ok(outcomes) => {
+                metrics::committed(pending.len(), bytes, begun.elapsed());
                 for (outcome, held) in outcomes.into_iter().zip(pending) {
                     tell(outcome, held.admission, &held.progress);
                 }

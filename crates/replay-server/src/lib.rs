@@ -10,6 +10,7 @@
 mod append;
 mod commit;
 mod errors;
+mod metrics;
 mod sample;
 mod service;
 mod state;
@@ -134,6 +135,7 @@ pub async fn serve_connections<C: isodream_rpc::Connection>(
             .await;
     });
 
+    metrics::start(state.clone(), stop.clone());
     let service = ReplayServiceServer::new(ReplayServer::new(state))
         .max_decoding_message_size(MAX_MESSAGE_BYTES)
         .max_encoding_message_size(MAX_MESSAGE_BYTES);

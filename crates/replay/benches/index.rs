@@ -12,7 +12,7 @@ use std::sync::{Mutex, MutexGuard};
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
-use isodream_replay::{Index, IndexedChunk, PriorityUpdate, Selector, Table, ViewHandle};
+use isodream_replay::{Capacity, Index, IndexedChunk, PriorityUpdate, Selector, Table, ViewHandle};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -185,7 +185,7 @@ fn insert_and_evict(bencher: Bencher<'_, '_>, case: &Case) {
         .bench_local(|| {
             insert_episodes(&mut index, &mut offset, episode);
             episode += ACTORS;
-            index.evict(case.steps)
+            index.evict(Capacity::steps(case.steps))
         });
 }
 

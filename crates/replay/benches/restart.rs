@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use isodream_core::Chunk;
-use isodream_replay::{Store, StoreOptions, StoreWriter};
+use isodream_replay::{Capacity, Store, StoreOptions, StoreWriter};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -28,7 +28,7 @@ fn main() {
         .next()
         .map_or_else(|| own.path().to_owned(), PathBuf::from);
     let options = StoreOptions {
-        capacity_steps: u64::MAX,
+        capacity: Capacity::UNLIMITED,
         ..StoreOptions::default()
     };
     fill(&folder, &options, steps);

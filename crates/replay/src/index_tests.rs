@@ -255,7 +255,7 @@ proptest! {
                 Change::Evict(capacity) => {
                     let before = plain.runs.len();
                     plain.evict(capacity);
-                    prop_assert_eq!(index.evict(capacity), (before - plain.runs.len()) as u64);
+                    prop_assert_eq!(index.evict(Capacity::steps(capacity)), (before - plain.runs.len()) as u64);
                 }
                 Change::Remove(at) => {
                     let places: Vec<_> = plain.runs.iter().enumerate()

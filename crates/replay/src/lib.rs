@@ -9,10 +9,11 @@
 //!
 //! # What survives what
 //! A chunk that [`StoreWriter::commit`] reported as stored survives a crash of process or machine. It
-//! disappears in three ways only: eviction by [`StoreOptions::capacity_steps`], removal of the folder, or a
+//! disappears in three ways only: eviction by [`StoreOptions::capacity`], removal of the folder, or a
 //! damaged record, which is skipped, counted and listed ([`Quarantined`]): a damaged header when the store is
 //! opened, a damaged payload when it is read.
 
+mod capacity;
 mod error;
 mod failpoint;
 mod folder;
@@ -31,6 +32,7 @@ mod store;
 mod table;
 mod writer;
 
+pub use capacity::Capacity;
 pub use error::ReplayError;
 pub use folder::StoreIdentity;
 pub use index::{

@@ -13,13 +13,13 @@ use crate::log::SegmentLog;
 use crate::recover::Recovered;
 use crate::segment::Segment;
 use crate::writer::StoreWriter;
-use crate::{ChunkRef, Quarantined, ReplayError, Sampler, Table};
+use crate::{Capacity, ChunkRef, Quarantined, ReplayError, Sampler, Table};
 
 /// Settings of a store.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StoreOptions {
-    /// Steps held at most; beyond it the oldest episodes are evicted. The newest episode always stays.
-    pub capacity_steps: u64,
+    /// What is kept.
+    pub capacity: Capacity,
     /// Size in bytes at which a segment is closed and the next begins. Disk space is freed in whole
     /// segments, one file descriptor is held per segment, and opening reads one segment at a time into memory.
     pub segment_bytes: u64,
@@ -28,7 +28,7 @@ pub struct StoreOptions {
 impl Default for StoreOptions {
     fn default() -> Self {
         Self {
-            capacity_steps: 1_000_000,
+            capacity: Capacity::steps(1_000_000),
             segment_bytes: 128 << 20,
         }
     }
@@ -87,8 +87,8 @@ impl Held {
         self.index.insert(episode_id, ends_episode, chunk);
     }
 
-    pub(crate) fn evict(&mut self, capacity_steps: u64) -> u64 {
-        let evicted = self.index.evict(capacity_steps);
+    pub(crate) fn evict(&mut self, capacity: Capacity) -> u64 {
+        let evicted = self.index.evict(capacity);
         self.release_segments();
         evicted
     }
@@ -178,7 +178,7 @@ impl Store {
         let store = Self {
             held: Arc::new(Mutex::new(held)),
         };
-        let mut writer = StoreWriter::new(log, ledger, store.clone(), options.capacity_steps);
+        let mut writer = StoreWriter::new(log, ledger, store.clone(), options.capacity);
         writer.evict();
         Ok((writer, store, recovery))
     }

@@ -5,7 +5,7 @@ use isodream_core::Chunk;
 use crate::ledger::{Ledger, Outcome};
 use crate::log::SegmentLog;
 use crate::record::{self, MAX_ACTOR_ID_BYTES, Record, Snapshot};
-use crate::{Progress, ReplayError, Store, StoreIdentity};
+use crate::{Capacity, Progress, ReplayError, Store, StoreIdentity};
 
 /// Writes to a store and owns its folder's lock. Every method blocks on the disk: give it a thread of its own.
 #[derive(Debug)]
@@ -13,16 +13,16 @@ pub struct StoreWriter {
     log: SegmentLog,
     ledger: Ledger,
     store: Store,
-    capacity_steps: u64,
+    capacity: Capacity,
 }
 
 impl StoreWriter {
-    pub(crate) fn new(log: SegmentLog, ledger: Ledger, store: Store, capacity_steps: u64) -> Self {
+    pub(crate) fn new(log: SegmentLog, ledger: Ledger, store: Store, capacity: Capacity) -> Self {
         Self {
             log,
             ledger,
             store,
-            capacity_steps,
+            capacity,
         }
     }
 
@@ -144,7 +144,7 @@ impl StoreWriter {
 
     /// Evicts down to the capacity and deletes the segments that nobody needs.
     pub(crate) fn evict(&mut self) {
-        let evicted = self.store.lock().evict(self.capacity_steps);
+        let evicted = self.store.lock().evict(self.capacity);
         let store = &self.store;
         match self
             .log

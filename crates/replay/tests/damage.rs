@@ -6,12 +6,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use isodream_core::Chunk;
-use isodream_replay::{ReplayError, Selector, Store, StoreOptions, Table, verify};
+use isodream_replay::{Capacity, ReplayError, Selector, Store, StoreOptions, Table, verify};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 const OPTIONS: StoreOptions = StoreOptions {
-    capacity_steps: u64::MAX,
+    capacity: Capacity::UNLIMITED,
     segment_bytes: 2000,
 };
 const CHUNKS: u64 = 60;

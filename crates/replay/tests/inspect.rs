@@ -7,11 +7,11 @@ use std::path::Path;
 
 use isodream_core::Chunk;
 use isodream_replay::{
-    Store, StoreIdentity, StoreOptions, StoreWriter, find_chunk, inspect, verify,
+    Capacity, Store, StoreIdentity, StoreOptions, StoreWriter, find_chunk, inspect, verify,
 };
 
 const OPTIONS: StoreOptions = StoreOptions {
-    capacity_steps: u64::MAX,
+    capacity: Capacity::UNLIMITED,
     segment_bytes: 1000,
 };
 

@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 
-use isodream_replay::{Index, IndexedChunk, PriorityUpdate, Selector, Table, ViewHandle};
+use isodream_replay::{Capacity, Index, IndexedChunk, PriorityUpdate, Selector, Table, ViewHandle};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -44,7 +44,7 @@ fn index() -> Index {
     ] {
         insert(&mut index, &mut offset, episode, &lengths);
     }
-    assert_eq!(index.evict(60), 1);
+    assert_eq!(index.evict(Capacity::steps(60)), 1);
     index
 }
 
@@ -162,7 +162,7 @@ fn priorities_stay_with_their_sequences_when_others_go() {
     };
     let counts = index.update_priorities(&view, &[update(250, 1000.0)]);
     assert_eq!((counts.applied, counts.ignored), (1, 0));
-    assert_eq!(index.evict(18 * 100), 200);
+    assert_eq!(index.evict(Capacity::steps(18 * 100)), 200);
     let counts = index.update_priorities(&view, &[update(199, 5.0), update(200, 0.0)]);
     assert_eq!((counts.applied, counts.ignored), (1, 1));
     let heavy = 1000.0 / (1000.0 + 100.0 * 11.0 - 2.0);

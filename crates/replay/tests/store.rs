@@ -8,12 +8,12 @@ use std::path::{Path, PathBuf};
 
 use isodream_core::Chunk;
 use isodream_replay::{
-    Outcome, PriorityUpdate, Recovery, ReplayError, Sampler, Selector, SequenceRef, Store,
-    StoreIdentity, StoreOptions, StoreWriter, Table,
+    Capacity, Outcome, PriorityUpdate, Recovery, ReplayError, Sampler, Selector, SequenceRef,
+    Store, StoreIdentity, StoreOptions, StoreWriter, Table,
 };
 
 const ALL: StoreOptions = StoreOptions {
-    capacity_steps: u64::MAX,
+    capacity: Capacity::UNLIMITED,
     segment_bytes: 1 << 20,
 };
 
@@ -198,7 +198,7 @@ fn an_actor_goes_on_where_a_reset_store_knows_less_than_it() {
 fn the_oldest_episodes_go_and_counters_and_positions_stay() {
     let folder = tempfile::tempdir().unwrap();
     let options = StoreOptions {
-        capacity_steps: 100,
+        capacity: Capacity::steps(100),
         segment_bytes: 600,
     };
     let (mut writer, store, _) = open(folder.path(), &options);
@@ -242,10 +242,35 @@ fn the_oldest_episodes_go_and_counters_and_positions_stay() {
 }
 
 #[test]
+fn bytes_are_a_capacity_as_well() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = StoreOptions {
+        capacity: Capacity {
+            bytes: 2000,
+            ..Capacity::UNLIMITED
+        },
+        segment_bytes: 600,
+    };
+    let (mut writer, store, _) = open(folder.path(), &options);
+    for seq in 0..60 {
+        let mut chunk = chunk("a", 1, seq, seq, 0, 10);
+        chunk.ends_episode = true;
+        store_all(&mut writer, vec![chunk]);
+        assert!(store.stats().bytes <= 2000);
+    }
+    let stats = store.stats();
+    assert!(
+        stats.episodes > 3 && stats.inserted_steps == 600,
+        "{stats:?}"
+    );
+    assert!(segments(folder.path()).len() < 6, "nothing was deleted");
+}
+
+#[test]
 fn one_episode_beyond_the_capacity_is_kept() {
     let folder = tempfile::tempdir().unwrap();
     let options = StoreOptions {
-        capacity_steps: 20,
+        capacity: Capacity::steps(20),
         ..ALL
     };
     let (mut writer, store, _) = open(folder.path(), &options);

@@ -13,6 +13,8 @@ pub(super) const TRAIN_TABLE: &str = "train";
 pub struct ReplayConfig {
     /// Steps kept; the oldest episodes go first. 0 keeps all.
     pub capacity_steps: u64,
+    /// Megabytes of records kept; the oldest episodes go first. 0 keeps all. Disk space is freed in whole segments.
+    pub capacity_mb: u64,
     /// Bytes after which a log segment is closed.
     pub segment_bytes: u64,
     /// Steps per chunk that an actor sends.
@@ -28,6 +30,7 @@ impl Default for ReplayConfig {
     fn default() -> Self {
         Self {
             capacity_steps: 0,
+            capacity_mb: 0,
             segment_bytes: 64 << 20,
             chunk_steps: 25,
             limiter_tolerance_batches: 20.0,

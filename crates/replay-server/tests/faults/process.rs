@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use isodream_core::{Chunk, EnvSpec, ImageShape};
 use isodream_proto::Identity;
 use isodream_proto::v1::ReplayStatusRequest;
-use isodream_replay::{LimiterOptions, Selector, StoreOptions, Table};
+use isodream_replay::{Capacity, LimiterOptions, Selector, StoreOptions, Table};
 use isodream_replay_server::{ServedTable, ServerOptions, is_disk_failure, serve};
 use isodream_rpc::limits::FAILOVER_AFTER;
 use isodream_rpc::{AppendClient, AppendOptions};
@@ -37,7 +37,7 @@ fn server_role() {
     let options = ServerOptions {
         folder: PathBuf::from(folder),
         store: StoreOptions {
-            capacity_steps,
+            capacity: Capacity::steps(capacity_steps),
             segment_bytes: 64 << 10,
         },
         limiter: LimiterOptions {

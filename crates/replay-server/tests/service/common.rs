@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use isodream_core::{Chunk, EnvSpec, ImageShape};
 use isodream_proto::Identity;
-use isodream_replay::{LimiterOptions, Selector, StoreOptions, Table};
+use isodream_replay::{Capacity, LimiterOptions, Selector, StoreOptions, Table};
 use isodream_replay_server::{ServedTable, ServerOptions, serve};
 use isodream_rpc::{AppendClient, AppendOptions, RpcError, SampleClient, SampleOptions};
 use tokio::runtime::Runtime;
@@ -44,7 +44,7 @@ impl Server {
         let options = ServerOptions {
             folder: folder.to_owned(),
             store: StoreOptions {
-                capacity_steps: u64::MAX,
+                capacity: Capacity::UNLIMITED,
                 segment_bytes: 8192,
             },
             limiter,

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use isodream_core::{EnvSpec, ImageShape};
 use isodream_proto::Identity;
-use isodream_replay::{LimiterOptions, Selector, StoreOptions, Table};
+use isodream_replay::{Capacity, LimiterOptions, Selector, StoreOptions, Table};
 use isodream_replay_server::{ServedTable, ServerOptions, serve_connections};
 use isodream_rpc::{AppendClient, AppendOptions, SampleClient, SampleOptions};
 use rand::{RngExt, SeedableRng};
@@ -59,7 +59,7 @@ pub(crate) async fn server(folder: PathBuf) -> Ended {
         let options = ServerOptions {
             folder: folder.clone(),
             store: StoreOptions {
-                capacity_steps: u64::MAX,
+                capacity: Capacity::UNLIMITED,
                 segment_bytes: 8192,
             },
             limiter: LIMITER,

@@ -16,7 +16,7 @@ use isodream_core::EpisodeId;
 use self::chunks::Chunks;
 use self::run::{Run, Runs};
 use self::view::View;
-use crate::Table;
+use crate::{Capacity, Table};
 
 pub use self::draw::{PriorityCounts, PriorityUpdate, Sequence};
 pub use self::view::ViewHandle;
@@ -87,11 +87,10 @@ impl Index {
         }
     }
 
-    /// Drops the oldest episodes until at most `capacity_steps` are held; the newest always stays.
-    /// Returns how many went.
-    pub fn evict(&mut self, capacity_steps: u64) -> u64 {
+    /// Drops the oldest episodes until `capacity` is kept; the newest always stays. Returns how many went.
+    pub fn evict(&mut self, capacity: Capacity) -> u64 {
         let mut evicted = 0;
-        while self.steps > capacity_steps && self.runs.len() > 1 {
+        while capacity.is_exceeded(self.steps, self.bytes) && self.runs.len() > 1 {
             let Some(run) = self
                 .chunks
                 .oldest_run()

@@ -1,7 +1,7 @@
 //! The replay-server as a process of the benchmark.
 
 use anyhow::Context;
-use isodream_replay::{LimiterOptions, Selector, StoreOptions, Table};
+use isodream_replay::{Capacity, LimiterOptions, Selector, StoreOptions, Table};
 use isodream_replay_server::{ServedTable, ServerOptions, serve};
 use serde::{Deserialize, Serialize};
 use tokio_util::sync::CancellationToken;
@@ -27,7 +27,7 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
     let options = ServerOptions {
         folder: work.folder.clone(),
         store: StoreOptions {
-            capacity_steps: u64::MAX,
+            capacity: Capacity::UNLIMITED,
             segment_bytes: work.segment_bytes,
         },
         limiter: LimiterOptions {
