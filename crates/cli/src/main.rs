@@ -80,7 +80,7 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         let _ = tuning::ensure();
     }
     let filter = match &command {
-        Command::Train(_) | Command::Env(_) => "warn",
+        Command::Train(_) | Command::Env(_) | Command::Bench(_) => "warn",
         _ => "info",
     };
     init_logging(filter, LogFormat::Text)?;
