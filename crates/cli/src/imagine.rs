@@ -100,7 +100,8 @@ pub(crate) fn run(args: &ImagineArgs) -> anyhow::Result<()> {
         args.episodes
     );
     let side = config.env.image_size as i64;
-    let batch = StagedSteps::new(&sequences, side, Device::Cpu).to_batch(Device::Cpu);
+    let batch =
+        StagedSteps::new(&sequences, config.env.image_size, Device::Cpu).to_batch(Device::Cpu);
     let truth = Tensor::from_slice(&classes).view([-1, 1, side, side]);
     let reconstructed = open_loop(&agent.world, &batch, LENGTH as i64);
     let predicted = open_loop(&agent.world, &batch, CONTEXT);

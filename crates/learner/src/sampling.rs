@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, bail};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
-use isodream_core::{EnvSpec, Steps, codec};
-use isodream_model::batch::StagedSteps;
+use isodream_core::EnvSpec;
+use isodream_core::codec::Decoder;
+use isodream_model::batch::{StagedShape, StagedSteps};
 use isodream_rpc::{SampleClient, SampleWatch, SampledSequence};
 use tch::Device;
 
@@ -65,11 +66,10 @@ impl BatchStream {
             std::thread::Builder::new()
                 .name(format!("decoder-{index}"))
                 .spawn(move || {
+                    let mut decoder = Decoder::default();
                     for job in queue {
-                        if done
-                            .send((job.index, decode(&job.sequences, &shape)))
-                            .is_err()
-                        {
+                        let batch = decode(&job.sequences, &shape, &mut decoder);
+                        if done.send((job.index, batch)).is_err() {
                             return;
                         }
                     }
@@ -128,23 +128,33 @@ fn draw(mut client: SampleClient, batch_size: usize, jobs: &Sender<Job>, failed:
     }
 }
 
-fn decode(sequences: &[SampledSequence], shape: &BatchShape) -> anyhow::Result<StagedBatch> {
-    let mut decoded = Vec::with_capacity(sequences.len());
-    for sequence in sequences {
-        match trim(sequence, shape) {
-            Ok(steps) => decoded.push(steps),
-            // One bad chunk must not stop a run: the batch goes on without it.
-            Err(error) => tracing::error!(error = format!("{error:#}"), "skipping a sequence"),
+fn decode(
+    sequences: &[SampledSequence],
+    shape: &BatchShape,
+    decoder: &mut Decoder,
+) -> anyhow::Result<StagedBatch> {
+    let staged = StagedShape {
+        sequences: sequences.len(),
+        length: shape.batch_length,
+        side: shape.spec.image.height,
+        action_dim: shape.spec.action_dim,
+    };
+    let steps = StagedSteps::write(staged, shape.device, |index, rows| {
+        let decoded = sequences[index].decode_into(decoder, rows);
+        // One bad chunk must not stop a run: the batch goes on without it.
+        if let Err(error) = &decoded {
+            tracing::error!(%error, "skipping a sequence");
         }
-    }
-    ensure!(
-        !decoded.is_empty(),
-        "none of {} sampled sequences could be decoded",
-        sequences.len()
-    );
-    let side = shape.spec.image.height as i64;
+        decoded.is_ok()
+    })
+    .with_context(|| {
+        format!(
+            "none of {} sampled sequences could be decoded",
+            sequences.len()
+        )
+    })?;
     Ok(StagedBatch {
-        steps: StagedSteps::new(&decoded, side, shape.device),
+        steps,
         // In their order, so that the last of each store stays.
         sampled_steps: sequences
             .iter()
@@ -153,42 +163,10 @@ fn decode(sequences: &[SampledSequence], shape: &BatchShape) -> anyhow::Result<S
     })
 }
 
-/// Decodes the chunks of a sequence and cuts it out.
-fn trim(sequence: &SampledSequence, shape: &BatchShape) -> anyhow::Result<Steps> {
-    let (image_bytes, action_dim) = (shape.spec.image.bytes(), shape.spec.action_dim);
-    let mut steps = Steps::new(image_bytes, action_dim);
-    let mut skip = sequence.offset as usize;
-    for chunk in &sequence.chunks {
-        let name = || {
-            format!(
-                "chunk {} of {} in epoch {}",
-                chunk.seq, chunk.actor_id, chunk.epoch
-            )
-        };
-        let decoded = codec::decode(&chunk.payload).with_context(name)?;
-        ensure!(
-            decoded.image_bytes == image_bytes && decoded.action_dim == action_dim,
-            "{} is of another environment",
-            name()
-        );
-        let first = skip.min(decoded.len);
-        skip -= first;
-        let last = decoded.len.min(first + shape.batch_length - steps.len);
-        steps.extend(&decoded, first..last);
-    }
-    ensure!(
-        steps.len == shape.batch_length,
-        "a sampled sequence has {} steps instead of {}",
-        steps.len,
-        shape.batch_length
-    );
-    Ok(steps)
-}
-
 #[cfg(test)]
 mod tests {
     use bytes::Bytes;
-    use isodream_core::{Chunk, ImageShape, Step};
+    use isodream_core::{Chunk, ImageShape, Step, Steps, codec};
 
     use super::*;
 
@@ -249,25 +227,15 @@ mod tests {
     }
 
     #[test]
-    fn a_sequence_is_cut_out_over_chunk_borders() {
-        for offset in 0..=4 {
-            let steps = trim(&sequence(offset), &shape()).expect("valid");
-            let expected: Vec<f32> = (0..5).map(|i| (offset + i) as f32).collect();
-            assert_eq!(steps.rewards, expected);
-            assert_eq!(steps.images[0], offset as u8);
-        }
-        assert!(
-            trim(&sequence(5), &shape()).is_err(),
-            "only four steps are left"
-        );
-    }
-
-    #[test]
     fn one_damaged_chunk_is_left_out_and_only_damage_is_an_error() {
+        let mut decoder = Decoder::default();
         let mut damaged = sequence(0);
         damaged.chunks[1].payload = Bytes::from_static(b"rubbish");
-        let batch = decode(&[sequence(1), damaged.clone()], &shape()).expect("one is valid");
-        assert_eq!(batch.steps.to_batch(Device::Cpu).rewards.size(), [1, 5]);
-        assert!(decode(&[damaged], &shape()).is_err());
+        let batch =
+            decode(&[damaged.clone(), sequence(1)], &shape(), &mut decoder).expect("one is valid");
+        let rewards = batch.steps.to_batch(Device::Cpu).rewards;
+        assert_eq!(rewards.size(), [1, 5]);
+        assert_eq!(rewards.double_value(&[0, 0]), 1.0);
+        assert!(decode(&[damaged], &shape(), &mut decoder).is_err());
     }
 }

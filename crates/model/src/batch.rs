@@ -1,6 +1,10 @@
 //! What the learner trains on: sequences of pictures, actions and rewards as tensors.
 
+use std::marker::PhantomData;
+
 use isodream_core::Steps;
+use isodream_core::codec::Rows;
+use tch::kind::Element;
 use tch::{Device, Kind, Tensor};
 
 /// A batch of sequences.
@@ -32,34 +36,87 @@ pub struct StagedSteps {
     discounts: Tensor,
 }
 
+/// Sizes of a batch.
+#[derive(Debug, Clone, Copy)]
+pub struct StagedShape {
+    /// Sequences (B).
+    pub sequences: usize,
+    /// Steps per sequence (T).
+    pub length: usize,
+    /// Rows and columns of an RGB image.
+    pub side: usize,
+    /// Action dimensions (A).
+    pub action_dim: usize,
+}
+
 impl StagedSteps {
-    /// Lays out equally long sequences of RGB images with `side` rows and columns, for a training step on `device`: a
-    /// GPU fetches them from page-locked memory without waiting.
+    /// A batch whose sequences `write` puts in their places one by one, for a training step on `device`: a GPU fetches
+    /// them from page-locked memory without waiting. A sequence for which `write` says false is left out; none if
+    /// all are.
+    pub fn write(
+        shape: StagedShape,
+        device: Device,
+        mut write: impl FnMut(usize, Rows<'_>) -> bool,
+    ) -> Option<Self> {
+        let StagedShape {
+            sequences,
+            length,
+            side,
+            action_dim,
+        } = shape;
+        let (image_bytes, steps) = (3 * side * side, sequences * length);
+        let mut pixels = Memory::<u8>::new(steps * image_bytes);
+        let mut actions = Memory::<f32>::new(steps * action_dim);
+        let mut rewards = Memory::<f32>::new(steps);
+        let mut discounts = Memory::<f32>::new(steps);
+        let mut written = 0;
+        for index in 0..sequences {
+            let rows = written * length..(written + 1) * length;
+            let place = Rows {
+                images: &mut pixels.slice()[rows.start * image_bytes..rows.end * image_bytes],
+                actions: &mut actions.slice()[rows.start * action_dim..rows.end * action_dim],
+                rewards: &mut rewards.slice()[rows.clone()],
+                discounts: &mut discounts.slice()[rows],
+            };
+            written += usize::from(write(index, place));
+        }
+        let [batch, steps, side, dim] =
+            [sequences, length, side, action_dim].map(|size| size as i64);
+        let staged = |tensor: Tensor, shape: &[i64]| {
+            let tensor = tensor.view(shape).narrow(0, 0, written as i64);
+            match device {
+                Device::Cuda(_) => tensor.pin_memory(device),
+                _ => tensor,
+            }
+        };
+        (written > 0).then(|| Self {
+            pixels: staged(pixels.tensor, &[batch, steps, side, side, 3]),
+            actions: staged(actions.tensor, &[batch, steps, dim]),
+            rewards: staged(rewards.tensor, &[batch, steps]),
+            discounts: staged(discounts.tensor, &[batch, steps]),
+        })
+    }
+
+    /// A batch of equally long sequences of RGB images with `side` rows and columns.
     ///
     /// # Panics
-    /// If the sequences differ in length or sizes: a defect of the caller.
-    pub fn new(sequences: &[Steps], side: i64, device: Device) -> Self {
-        let batch = sequences.len() as i64;
-        let length = sequences[0].len as i64;
-        let staged = |tensor: Tensor| match device {
-            Device::Cuda(_) => tensor.pin_memory(device),
-            _ => tensor,
+    /// If there is none, or if they differ in length or sizes: a defect of the caller.
+    pub fn new(sequences: &[Steps], side: usize, device: Device) -> Self {
+        let shape = StagedShape {
+            sequences: sequences.len(),
+            length: sequences[0].len,
+            side,
+            action_dim: sequences[0].action_dim,
         };
-        let column = |part: fn(&Steps) -> &Vec<f32>, width: i64| {
-            let values: Vec<f32> = sequences
-                .iter()
-                .flat_map(|s| part(s).iter().copied())
-                .collect();
-            staged(Tensor::from_slice(&values).view([batch, length, width]))
-        };
-        let pixels: Vec<&[u8]> = sequences.iter().map(|s| s.images.as_slice()).collect();
-        let pixels = Tensor::from_slice(&pixels.concat()).view([batch, length, side, side, 3]);
-        Self {
-            pixels: staged(pixels),
-            actions: column(|s| &s.actions, sequences[0].action_dim as i64),
-            rewards: column(|s| &s.rewards, 1).squeeze_dim(-1),
-            discounts: column(|s| &s.discounts, 1).squeeze_dim(-1),
-        }
+        Self::write(shape, device, |index, rows| {
+            let steps = &sequences[index];
+            rows.images.copy_from_slice(&steps.images);
+            rows.actions.copy_from_slice(&steps.actions);
+            rows.rewards.copy_from_slice(&steps.rewards);
+            rows.discounts.copy_from_slice(&steps.discounts);
+            true
+        })
+        .expect("there is a sequence")
     }
 
     /// The batch on `device`; a GPU is not waited for.
@@ -75,11 +132,55 @@ impl StagedSteps {
     }
 }
 
+/// A new tensor in the CPU's memory that can be written as a slice.
+struct Memory<T> {
+    tensor: Tensor,
+    len: usize,
+    element: PhantomData<T>,
+}
+
+impl<T: Element> Memory<T> {
+    fn new(len: usize) -> Self {
+        Self {
+            tensor: Tensor::zeros([len as i64], (T::KIND, Device::Cpu)),
+            len,
+            element: PhantomData,
+        }
+    }
+
+    fn slice(&mut self) -> &mut [T] {
+        // SAFETY: the tensor is contiguous, initialised, on the CPU, has `len` elements of the kind of `T`, and
+        // nothing else knows it while it is borrowed here.
+        unsafe { std::slice::from_raw_parts_mut(self.tensor.data_ptr().cast(), self.len) }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use isodream_core::Step;
 
     use super::*;
+
+    #[test]
+    fn refused_sequences_are_left_out() {
+        let shape = StagedShape {
+            sequences: 3,
+            length: 2,
+            side: 1,
+            action_dim: 1,
+        };
+        let write = |refused: usize| {
+            StagedSteps::write(shape, Device::Cpu, |index, rows| {
+                rows.rewards.fill(index as f32);
+                index != refused && refused < 3
+            })
+        };
+        let batch = write(1).expect("two are written").to_batch(Device::Cpu);
+        assert_eq!(batch.rewards.size(), [2, 2]);
+        assert_eq!(batch.rewards.double_value(&[1, 1]), 2.0);
+        assert_eq!(batch.images.size(), [2, 2, 3, 1, 1]);
+        assert!(write(3).is_none());
+    }
 
     #[test]
     fn steps_arrive_where_they_belong() {
