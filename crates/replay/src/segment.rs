@@ -1,12 +1,14 @@
 //! One segment file and references into it.
 
 use std::fs::File;
-use std::os::unix::fs::FileExt;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use bytes::Bytes;
 use isodream_core::Chunk;
+use rustix::buffer::spare_capacity;
+use rustix::io::{Errno, pread};
 
 use crate::ReplayError;
 use crate::record;
@@ -77,10 +79,8 @@ impl ChunkRef {
     /// # Errors
     /// [`ReplayError::Damaged`] where a checksum fails, [`ReplayError::Io`] where the disk does.
     pub fn read(&self) -> Result<Chunk, ReplayError> {
-        let mut frame = vec![0; self.frame_bytes as usize];
-        self.segment
-            .file
-            .read_exact_at(&mut frame, self.offset)
+        let frame = self
+            .read_frame()
             .map_err(ReplayError::io("read", &self.segment.path))?;
         let damaged = |reason| ReplayError::Damaged {
             path: self.segment.path.clone(),
@@ -88,5 +88,22 @@ impl ChunkRef {
             reason,
         };
         record::decode_chunk(&Bytes::from(frame)).map_err(damaged)
+    }
+
+    /// The record's bytes, in memory that is not cleared first.
+    fn read_frame(&self) -> io::Result<Vec<u8>> {
+        let bytes = self.frame_bytes as usize;
+        let mut frame = Vec::with_capacity(bytes);
+        while frame.len() < bytes {
+            let next = self.offset + frame.len() as u64;
+            match pread(&self.segment.file, spare_capacity(&mut frame), next) {
+                Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
+                Ok(_) | Err(Errno::INTR) => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
+        // The allocator may have given more room than was asked for.
+        frame.truncate(bytes);
+        Ok(frame)
     }
 }
