@@ -32,7 +32,7 @@ impl Default for ReplayConfig {
             capacity_steps: 0,
             capacity_mb: 0,
             segment_bytes: 64 << 20,
-            chunk_steps: 25,
+            chunk_steps: 16,
             limiter_tolerance_batches: 20.0,
             tables: BTreeMap::from([(TRAIN_TABLE.to_owned(), TableConfig::default())]),
         }
