@@ -75,7 +75,10 @@ fn exit_code(error: &anyhow::Error) -> ExitCode {
 }
 
 fn run(command: Command) -> anyhow::Result<ExitCode> {
-    if matches!(command, Command::Learner(_) | Command::Bench(_)) {
+    if matches!(
+        command,
+        Command::Learner(_) | Command::Bench(bench::BenchCommand::Learner(_))
+    ) {
         // Without them training is slower, but no less right.
         let _ = tuning::ensure();
     }
