@@ -218,11 +218,18 @@ fn training_goes_on_when_the_environments_process_dies_and_comes_back() -> Resul
     let status = training.wait(Duration::from_secs(300))?;
     ensure!(status.success(), "{status}");
     ensure!(Checkpoint::find(run_dir.as_ref())?.counters.updates > 0);
-    let log = fs::read_to_string(folder.path().join("run/logs/actor-0.log"))?;
-    ensure!(log.contains("a new episode begins"), "{log}");
+    let log = |actor| fs::read_to_string(folder.path().join(format!("run/logs/{actor}.log")));
+    let logs = [log("actor-0")?, log("actor-1")?];
+    // One of them may not have begun when the server died: it waits for it instead.
     ensure!(
-        log.matches("acting by the learner's policy").count() == 1,
-        "the actor was started anew: {log}"
+        logs.iter().any(|log| log.contains("a new episode begins")),
+        "{logs:?}"
     );
+    for log in &logs {
+        ensure!(
+            log.matches("acting by the learner's policy").count() <= 1,
+            "an actor was started anew: {log}"
+        );
+    }
     Ok(())
 }
