@@ -32,10 +32,10 @@ impl SampleWatch {
         for link in &links {
             reasons.push(link.waiting()?);
         }
-        match reasons.is_empty() {
-            true => Some("replay-servers are looked up".to_owned()),
-            false => Some(reasons.join("; ")),
+        if reasons.is_empty() {
+            return Some("replay-servers are looked up".to_owned());
         }
+        Some(reasons.join("; "))
     }
 
     /// Steps that went into all stores that were seen since this client started, evicted ones included; at

@@ -23,9 +23,10 @@ const FOLDER: &str = "ISODREAM_TEST_FOLDER";
 const ADDRESS: &str = "ISODREAM_TEST_ADDRESS";
 const CAPACITY: &str = "ISODREAM_TEST_CAPACITY_STEPS";
 
-/// The role. As a test of its own it does nothing.
+/// The role, not a test: a test binary is the only program with failpoints in it, and `#[ignore]` is what keeps a
+/// server that never ends by itself out of a run of the tests. [`ServerProcess`] asks for it by name.
 #[test]
-#[ignore = "the server process of the other tests"]
+#[ignore = "the server process that the other tests start, kill and start again"]
 fn server_role() {
     let Ok(folder) = std::env::var(FOLDER) else {
         return;
