@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use isodream_proto::v1;
-use isodream_rpc::{learner_client, replay_client};
+use isodream_rpc::Dialer;
 
 /// The `isodream` binary that `cargo xtask test` built beside this test.
 ///
@@ -160,7 +160,7 @@ pub fn until<T>(
 pub fn learner_status(address: &str) -> Result<Option<v1::LearnerStatus>> {
     let runtime = tokio::runtime::Runtime::new()?;
     runtime.block_on(async {
-        let mut client = learner_client(address)?;
+        let mut client = Dialer::default().learner(address)?;
         Ok(client
             .status(v1::LearnerStatusRequest {})
             .await
@@ -176,7 +176,7 @@ pub fn learner_status(address: &str) -> Result<Option<v1::LearnerStatus>> {
 pub fn replay_status(address: &str) -> Result<Option<v1::ReplayStatus>> {
     let runtime = tokio::runtime::Runtime::new()?;
     runtime.block_on(async {
-        let mut client = replay_client(address)?;
+        let mut client = Dialer::default().replay(address)?;
         Ok(client
             .status(v1::ReplayStatusRequest {})
             .await

@@ -23,21 +23,26 @@ const WAIT_NOTICE: Duration = Duration::from_secs(10);
 /// # Errors
 /// Where the environments fail again and again, or replay-server or learner refuse this actor.
 pub async fn run(options: ActorOptions, shutdown: CancellationToken) -> anyhow::Result<()> {
-    let opening = options.config.clone();
+    let (opening, dialer) = (options.config.clone(), options.dialer.clone());
     let environments = tokio::task::spawn_blocking(move || {
-        open_environments(&opening.env, opening.actor.environments)
+        open_environments(&dialer, &opening.env, opening.actor.environments)
     })
     .await
     .context("the task that opens the environments failed")??;
     let spec = isodream_envs::common_spec(&environments)?;
     let identity = options.identity(&spec);
-    let link = LearnerLink::start(&options.learner, &identity, &options.actor_id)?;
+    let link = LearnerLink::start(
+        &options.dialer,
+        &options.learner,
+        &identity,
+        &options.actor_id,
+    )?;
     // Milliseconds since 1970: greater at every start, which is all an epoch must be.
     let epoch = SystemTime::now()
         .duration_since(UNIX_EPOCH)
         .context("the clock stands before 1970")?
         .as_millis() as u64;
-    let append = AppendClient::start(AppendOptions {
+    let appending = AppendOptions {
         addresses: options.replay.clone(),
         identity,
         actor_id: options.actor_id.clone(),
@@ -45,8 +50,8 @@ pub async fn run(options: ActorOptions, shutdown: CancellationToken) -> anyhow::
         spool_chunks: options.config.actor.spool_chunks,
         spool_bytes: options.config.actor.spool_mb << 20,
         failover_after: FAILOVER_AFTER,
-    })?;
-    let append = Arc::new(append);
+    };
+    let append = Arc::new(AppendClient::start(&options.dialer, appending)?);
 
     let collector = Collector::new(options, environments, epoch)?;
     let (sending, stop) = (append.clone(), shutdown.clone());

@@ -6,7 +6,7 @@ use anyhow::Context;
 use isodream_core::derive_seed;
 use isodream_model::Actions;
 use isodream_proto::v1;
-use isodream_rpc::{learner_client, open_environment};
+use isodream_rpc::open_environment;
 use tokio::runtime::Handle;
 use tokio_util::sync::CancellationToken;
 
@@ -29,17 +29,18 @@ pub fn evaluation_seed(root: u64, index: u64) -> u64 {
 /// # Errors
 /// Where the environment fails again and again, or the learner refuses this actor.
 pub async fn run(options: ActorOptions, shutdown: CancellationToken) -> anyhow::Result<()> {
-    let opening = options.config.env.clone();
-    let mut env = tokio::task::spawn_blocking(move || open_environment(&opening))
+    let (opening, dialer) = (options.config.env.clone(), options.dialer.clone());
+    let mut env = tokio::task::spawn_blocking(move || open_environment(&dialer, &opening))
         .await
         .context("the task that opens the environment failed")??;
     let spec = env.spec().clone();
     let link = LearnerLink::start(
+        &options.dialer,
         &options.learner,
         &options.identity(&spec),
         &options.actor_id,
     )?;
-    let client = learner_client(&options.learner)?;
+    let client = options.dialer.learner(&options.learner)?;
     let runtime = Handle::current();
     let actor = move || -> anyhow::Result<()> {
         let config = &options.config;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, bail};
 use isodream_proto::{Identity, v1};
-use isodream_rpc::{is_refusal, learner_client, reconnect_delays, retry};
+use isodream_rpc::{Dialer, LearnerClient, is_refusal, reconnect_delays, retry};
 use sha2::{Digest, Sha256};
 use tokio::sync::{mpsc, watch};
 
@@ -43,11 +43,12 @@ pub(crate) struct LearnerLink {
 impl LearnerLink {
     /// Starts the link.
     pub(crate) fn start(
+        dialer: &Dialer,
         address: &str,
         identity: &Identity,
         actor_id: &str,
     ) -> anyhow::Result<Self> {
-        let client = learner_client(address)?;
+        let client = dialer.learner(address)?;
         let (sender, policy) = watch::channel(PolicyNews::default());
         let request = v1::WatchPolicyRequest {
             handshake: Some(identity.handshake()),
@@ -56,6 +57,7 @@ impl LearnerLink {
         let watching = client.clone();
         tokio::spawn(async move {
             let mut delays = reconnect_delays();
+            let mut told = String::new();
             while !sender.is_closed() {
                 let before = version_of(&sender);
                 if let Err(error) = follow(watching.clone(), &request, &sender).await {
@@ -66,7 +68,12 @@ impl LearnerLink {
                         sender.send_modify(|news| news.refused = Some(format!("{error:#}")));
                         return;
                     }
-                    tracing::debug!(error = format!("{error:#}"), "the learner is out of reach");
+                    let error = format!("{error:#}");
+                    // Once for each reason: a learner may be away for long.
+                    if error != told {
+                        tracing::warn!(error, "the learner is out of reach, trying again");
+                        told = error;
+                    }
                 }
                 if version_of(&sender) != before {
                     delays = reconnect_delays();
@@ -122,7 +129,7 @@ fn version_of(sender: &watch::Sender<PolicyNews>) -> Option<v1::PolicyVersion> {
 
 /// Follows announcements until the stream ends.
 async fn follow(
-    mut client: v1::learner_service_client::LearnerServiceClient<tonic::transport::Channel>,
+    mut client: LearnerClient,
     request: &v1::WatchPolicyRequest,
     sender: &watch::Sender<PolicyNews>,
 ) -> anyhow::Result<()> {

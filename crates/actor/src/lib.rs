@@ -22,6 +22,7 @@ pub use agent::AgentPolicy;
 
 use isodream_core::{Config, EnvSpec};
 use isodream_proto::Identity;
+use isodream_rpc::Dialer;
 
 /// Settings of an actor.
 #[derive(Debug, Clone)]
@@ -34,6 +35,8 @@ pub struct ActorOptions {
     pub replay: Vec<String>,
     /// The learner, `host:port`.
     pub learner: String,
+    /// How both, and environments of other processes, are reached.
+    pub dialer: Dialer,
 }
 
 impl ActorOptions {

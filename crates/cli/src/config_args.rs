@@ -30,6 +30,7 @@ impl ConfigArgs {
     }
 
     /// Whether nothing was said.
+    #[cfg(feature = "torch")]
     pub(crate) fn is_empty(&self) -> bool {
         self.preset.is_none() && self.config.is_none() && self.set.is_empty()
     }

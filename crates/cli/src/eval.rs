@@ -11,9 +11,11 @@ use isodream_core::derive_seed;
 use isodream_envs::ScriptedDriver;
 use isodream_learner::checkpoint::Checkpoint;
 use isodream_model::Actions;
+use isodream_rpc::{Dialer, Role};
 use serde::Serialize;
 
 use crate::output::print_result;
+use crate::security::ClientArgs;
 
 /// Options of `isodream eval`.
 #[derive(Debug, Args)]
@@ -27,6 +29,8 @@ pub(crate) struct EvalArgs {
     /// Print JSON instead of a table
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    security: ClientArgs,
 }
 
 /// What one policy came to.
@@ -53,7 +57,8 @@ pub(crate) struct Evaluation {
 
 /// Runs the command.
 pub(crate) fn run(args: &EvalArgs) -> anyhow::Result<()> {
-    let evaluation = evaluate(&args.checkpoint, args.episodes, &|| true)?;
+    let dialer = args.security.dialer(Role::Actor)?;
+    let evaluation = evaluate(&dialer, &args.checkpoint, args.episodes, &|| true)?;
     print_result(&evaluation, args.json, Evaluation::table)
 }
 
@@ -62,13 +67,14 @@ pub(crate) fn run(args: &EvalArgs) -> anyhow::Result<()> {
 /// # Errors
 /// Where there is no checkpoint, the environment fails, or `go_on` says no.
 pub(crate) fn evaluate(
+    dialer: &Dialer,
     path: &Path,
     episodes: u64,
     go_on: &dyn Fn() -> bool,
 ) -> anyhow::Result<Evaluation> {
     let checkpoint = Checkpoint::find(path)?;
     let config = &checkpoint.config;
-    let mut env = isodream_rpc::open_environment(&config.env)?;
+    let mut env = isodream_rpc::open_environment(dialer, &config.env)?;
     let spec = env.spec().clone();
     tch::manual_seed(derive_seed(config.seed, &["eval", "noise"]) as i64);
     let mut agent = AgentPolicy::new(config, &spec, 1, &checkpoint.model)

@@ -13,11 +13,13 @@ use isodream_model::agent::Agent;
 use isodream_model::batch::StagedSteps;
 use isodream_model::open_loop::{OpenLoop, open_loop};
 use isodream_model::{Actions, Batch};
+use isodream_rpc::Role;
 use isodream_telemetry::{Rgb, write_mp4};
 use serde::Serialize;
 use tch::{Device, Kind, Tensor};
 
 use crate::output::print;
+use crate::security::ClientArgs;
 
 /// Frames with observations before the prediction begins, as in the paper.
 const CONTEXT: i64 = 5;
@@ -38,6 +40,8 @@ pub(crate) struct ImagineArgs {
     /// Episodes on held-out seeds; the first one is drawn
     #[arg(long, default_value_t = 8)]
     episodes: u64,
+    #[command(flatten)]
+    security: ClientArgs,
 }
 
 /// How much of each branch's mask lies on the vehicles that the simulator knows of.
@@ -72,7 +76,7 @@ struct Report {
 pub(crate) fn run(args: &ImagineArgs) -> anyhow::Result<()> {
     let checkpoint = Checkpoint::find(&args.checkpoint)?;
     let config = &checkpoint.config;
-    let mut env = isodream_rpc::open_environment(&config.env)?;
+    let mut env = isodream_rpc::open_environment(&args.security.dialer(Role::Actor)?, &config.env)?;
     let spec = env.spec().clone();
     tch::manual_seed(derive_seed(config.seed, &["imagine", "noise"]) as i64);
     let mut driver = AgentPolicy::new(config, &spec, 1, &checkpoint.model)?;

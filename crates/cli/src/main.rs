@@ -6,13 +6,20 @@
 mod bench;
 mod config_args;
 mod env;
+#[cfg(feature = "torch")]
 mod eval;
+mod health;
+#[cfg(feature = "torch")]
 mod imagine;
 mod output;
 mod report;
 mod roles;
+mod secrets;
+mod security;
 mod store;
+#[cfg(feature = "torch")]
 mod train;
+#[cfg(feature = "torch")]
 mod tuning;
 
 use std::process::ExitCode;
@@ -31,19 +38,28 @@ struct Args {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Train: start all roles on this machine, show progress, end with a summary. The same command resumes
+    #[cfg(feature = "torch")]
     Train(train::TrainArgs),
     /// Run one replay-server, or look into its folder
     Replay(roles::ReplayArgs),
     /// Run the learner
+    #[cfg(feature = "torch")]
     Learner(roles::LearnerArgs),
     /// Run one actor
+    #[cfg(feature = "torch")]
     Actor(roles::ActorArgs),
     /// Compare a trained policy with scripted drivers on the same seeds
+    #[cfg(feature = "torch")]
     Eval(eval::EvalArgs),
     /// Draw what the world model predicts, and measure how well its branches separate
+    #[cfg(feature = "torch")]
     Imagine(imagine::ImagineArgs),
     /// Draw the learning curves of runs
     Report(report::ReportArgs),
+    /// Make certificates and tokens for a run over several machines
+    Secrets(secrets::SecretsArgs),
+    /// Ask a server whether it serves
+    Health(health::HealthArgs),
     /// Look at environments, and measure them
     #[command(subcommand)]
     Env(env::EnvCommand),
@@ -75,6 +91,7 @@ fn exit_code(error: &anyhow::Error) -> ExitCode {
 }
 
 fn run(command: Command) -> anyhow::Result<ExitCode> {
+    #[cfg(feature = "torch")]
     if matches!(
         command,
         Command::Learner(_) | Command::Bench(bench::BenchCommand::Learner(_))
@@ -83,7 +100,9 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         let _ = tuning::ensure();
     }
     let filter = match &command {
-        Command::Train(_) | Command::Env(_) | Command::Bench(_) => "warn",
+        #[cfg(feature = "torch")]
+        Command::Train(_) => "warn",
+        Command::Env(_) | Command::Bench(_) | Command::Health(_) => "warn",
         _ => "info",
     };
     init_logging(filter, LogFormat::Text)?;
@@ -91,16 +110,23 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         .enable_all()
         .build()?;
     let result = match command {
+        #[cfg(feature = "torch")]
         Command::Train(args) => runtime.block_on(train::run(args)),
         Command::Replay(args) => match args.command {
             Some(command) => store::run(&command),
             None => runtime.block_on(roles::replay(args.server)),
         },
+        #[cfg(feature = "torch")]
         Command::Learner(args) => return finish(runtime.block_on(roles::learner(args)), runtime),
+        #[cfg(feature = "torch")]
         Command::Actor(args) => runtime.block_on(roles::actor(args)),
+        #[cfg(feature = "torch")]
         Command::Eval(args) => eval::run(&args),
+        #[cfg(feature = "torch")]
         Command::Imagine(args) => imagine::run(&args),
         Command::Report(args) => report::run(&args),
+        Command::Secrets(args) => secrets::run(&args),
+        Command::Health(args) => runtime.block_on(health::run(args)),
         Command::Env(command) => env::run(&command, &runtime),
         Command::Bench(command) => bench::run(&command),
     };

@@ -22,6 +22,7 @@ mod train;
 use std::path::PathBuf;
 
 use isodream_core::{Config, EnvSpec};
+use isodream_rpc::{Dialer, Door};
 use tch::Device;
 
 pub use train::{Finished, run};
@@ -39,6 +40,10 @@ pub struct LearnerOptions {
     pub listen: String,
     /// The replay-servers, `host:port`.
     pub replay: Vec<String>,
+    /// How the replay-servers are reached.
+    pub dialer: Dialer,
+    /// Who may come in.
+    pub door: Door,
     /// Where tensors live.
     pub device: Device,
 }

@@ -51,7 +51,7 @@ pub enum Finished {
 /// Where the port is taken, replay refuses this learner, the disk fails, no checkpoint is valid, or a loss is
 /// not finite. The last good checkpoint is kept.
 pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow::Result<Finished> {
-    let listener = isodream_rpc::bind(&options.listen).await?;
+    let listener = isodream_rpc::bind(&options.listen, &options.door).await?;
     let _lock = lock(&options.run_dir)?;
     let config = &options.config;
     let checkpoint = Checkpoint::load_newest(&options.run_dir.join("checkpoints"))?;
@@ -93,7 +93,7 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
     })
     .max_decoding_message_size(MAX_MESSAGE_BYTES)
     .max_encoding_message_size(MAX_MESSAGE_BYTES);
-    let router = isodream_rpc::server()
+    let router = isodream_rpc::server(&options.door)?
         .add_service(isodream_rpc::serving::<LearnerServiceServer<Service>>().await)
         .add_service(service);
     let server = tokio::spawn(isodream_rpc::serve(router, listener, serving.clone()));
@@ -101,7 +101,7 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
         .learner
         .pretrain_updates
         .saturating_sub(counters.updates);
-    let client = SampleClient::start(SampleOptions {
+    let sampling = SampleOptions {
         addresses: options.replay.clone(),
         identity,
         sequence_length: config.learner.batch_length as u32,
@@ -110,7 +110,8 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
         prefetch: config.learner.batch_size * config.learner.prefetch_batches,
         sampled_steps: counters.sampled_steps.clone(),
         unlimited_sequences: pretrain_left * config.learner.batch_size as u64,
-    })?;
+    };
+    let client = SampleClient::start(&options.dialer, sampling)?;
     let follow = tokio::spawn(follow_replay(
         client.watch(),
         config.env.action_repeat,

@@ -22,12 +22,14 @@ use std::sync::Arc;
 use anyhow::Context;
 use isodream_proto::v1::replay_service_server::ReplayServiceServer;
 use isodream_replay::{LimiterOptions, ReplayError, Store, StoreOptions};
+use isodream_rpc::Door;
 use isodream_rpc::limits::MAX_MESSAGE_BYTES;
 use tokio::net::TcpListener;
 use tokio::sync::mpsc;
 use tokio_stream::Stream;
 use tokio_util::sync::CancellationToken;
 use tonic::transport::server::TcpIncoming;
+use tonic_health::ServingStatus;
 
 use crate::commit::Committer;
 use crate::service::ReplayServer;
@@ -50,6 +52,8 @@ pub struct ServerOptions {
     pub limiter: LimiterOptions,
     /// What learners may draw from, each name once.
     pub tables: Vec<ServedTable>,
+    /// Who may come in.
+    pub door: Door,
 }
 
 /// Whether `error` comes from a disk whose state is unknown, so that only a new process can go on. By convention
@@ -133,13 +137,17 @@ pub async fn serve_connections<C: isodream_rpc::Connection>(
         health
             .set_not_serving::<ReplayServiceServer<ReplayServer>>()
             .await;
+        // The server as a whole.
+        health
+            .set_service_status("", ServingStatus::NotServing)
+            .await;
     });
 
     metrics::start(state.clone(), stop.clone());
     let service = ReplayServiceServer::new(ReplayServer::new(state))
         .max_decoding_message_size(MAX_MESSAGE_BYTES)
         .max_encoding_message_size(MAX_MESSAGE_BYTES);
-    let router = isodream_rpc::server()
+    let router = isodream_rpc::server(&options.door)?
         .add_service(health_service)
         .add_service(service);
     let served = isodream_rpc::serve_connections(router, incoming, stop.clone());

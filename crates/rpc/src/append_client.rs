@@ -9,10 +9,9 @@ use tokio_util::sync::{CancellationToken, DropGuard};
 
 use crate::append_link::Sender;
 use crate::append_route::AppendRoute;
-use crate::channel::replay_client_over;
 use crate::link_state::{Ending, LinkState};
 use crate::spool::{Bounds, Spool};
-use crate::{Network, RpcError, Tcp};
+use crate::{Dialer, RpcError};
 
 /// Settings of an [`AppendClient`].
 #[derive(Debug, Clone)]
@@ -64,23 +63,13 @@ impl AppendClient {
     /// Starts the client; it connects in the background.
     ///
     /// # Errors
-    /// [`RpcError::Address`] where an address cannot be one or there is none.
+    /// [`RpcError::Address`] where an address cannot be one or there is none, [`RpcError::Tls`] where the dialer's
+    /// certificates make no sense.
     ///
     /// # Panics
     /// Outside a tokio runtime.
-    pub fn start(options: AppendOptions) -> Result<Self, RpcError> {
-        Self::start_over(Arc::new(Tcp), options)
-    }
-
-    /// [`AppendClient::start`] over any network.
-    ///
-    /// # Errors
-    /// As [`AppendClient::start`].
-    ///
-    /// # Panics
-    /// Outside a tokio runtime.
-    pub fn start_over(network: Arc<dyn Network>, options: AppendOptions) -> Result<Self, RpcError> {
-        let peers = check_addresses(network.as_ref(), &options.addresses)?;
+    pub fn start(dialer: &Dialer, options: AppendOptions) -> Result<Self, RpcError> {
+        let peers = check_addresses(dialer, &options.addresses)?;
         let spool = Arc::new(Spool::new(Bounds {
             chunks: options.spool_chunks,
             bytes: options.spool_bytes,
@@ -95,7 +84,7 @@ impl AppendClient {
             epoch: options.epoch,
         };
         let route = AppendRoute::new(
-            network,
+            dialer.clone(),
             options.addresses,
             options.failover_after,
             sender,
@@ -218,10 +207,7 @@ impl AppendClient {
 }
 
 /// The addresses in words, if each can be one.
-pub(crate) fn check_addresses(
-    network: &dyn Network,
-    addresses: &[String],
-) -> Result<String, RpcError> {
+pub(crate) fn check_addresses(dialer: &Dialer, addresses: &[String]) -> Result<String, RpcError> {
     if addresses.is_empty() {
         return Err(RpcError::Address {
             address: String::new(),
@@ -229,7 +215,7 @@ pub(crate) fn check_addresses(
         });
     }
     for address in addresses {
-        replay_client_over(network, address)?;
+        dialer.replay(address)?;
     }
     Ok(addresses.join(", "))
 }

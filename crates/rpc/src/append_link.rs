@@ -5,20 +5,18 @@ use std::time::Duration;
 
 use isodream_core::Chunk;
 use isodream_proto::v1::append_request::Kind;
-use isodream_proto::v1::replay_service_client::ReplayServiceClient;
 use isodream_proto::v1::{AppendRequest, Hello, ReplayStatusRequest};
 use isodream_proto::{Identity, v1};
 use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
-use tonic::transport::Channel;
 
 use crate::error::words;
 use crate::limits::RECONNECT_DELAYS;
 use crate::link_state::LinkState;
 use crate::spool::Spool;
-use crate::{RpcError, is_refusal, reconnect_delays};
+use crate::{ReplayClient, RpcError, is_refusal, reconnect_delays};
 
 /// Chunks handed to the transport ahead of its pace.
 const IN_FLIGHT_CHUNKS: usize = 4;
@@ -52,7 +50,7 @@ pub(crate) enum LinkEnd {
 }
 
 pub(crate) struct AppendLink {
-    pub(crate) client: ReplayServiceClient<Channel>,
+    pub(crate) client: ReplayClient,
     pub(crate) sender: Arc<Sender>,
     pub(crate) spool: Arc<Spool>,
     pub(crate) state: Arc<LinkState>,

@@ -9,15 +9,13 @@ use isodream_core::derive_seed;
 use tokio::task::{AbortHandle, JoinSet};
 
 use crate::append_link::{AppendLink, LinkEnd, Purpose, Sender};
-use crate::channel::replay_client_over;
 use crate::link_state::LinkState;
-use crate::network::resolve_all;
 use crate::spool::Spool;
-use crate::{Network, RpcError};
+use crate::{Dialer, RpcError};
 
 /// Sends to one server for as long as it is there, then to the next, for ever.
 pub(crate) struct AppendRoute {
-    pub(crate) network: Arc<dyn Network>,
+    pub(crate) dialer: Dialer,
     pub(crate) addresses: Vec<String>,
     pub(crate) failover_after: Duration,
     pub(crate) sender: Arc<Sender>,
@@ -33,7 +31,7 @@ pub(crate) struct AppendRoute {
 
 impl AppendRoute {
     pub(crate) fn new(
-        network: Arc<dyn Network>,
+        dialer: Dialer,
         addresses: Vec<String>,
         failover_after: Duration,
         sender: Sender,
@@ -41,7 +39,7 @@ impl AppendRoute {
         current: Arc<Mutex<Arc<LinkState>>>,
     ) -> Self {
         Self {
-            network,
+            dialer,
             addresses,
             failover_after,
             sender: Arc::new(sender),
@@ -57,7 +55,7 @@ impl AppendRoute {
     pub(crate) async fn run(mut self) -> RpcError {
         let mut left = None;
         loop {
-            let addresses = resolve_all(self.network.as_ref(), &self.addresses).await;
+            let addresses = self.dialer.resolve(&self.addresses).await;
             let address = next(&self.sender.actor_id, addresses.clone(), left.as_deref());
             let patience = (addresses.len() > 1).then_some(self.failover_after);
             match self.send_to(&address, patience).await {
@@ -120,7 +118,7 @@ impl AppendRoute {
 
     fn link(&self, address: &str, purpose: Purpose) -> Result<AppendLink, RpcError> {
         Ok(AppendLink {
-            client: replay_client_over(self.network.as_ref(), address)?,
+            client: self.dialer.replay(address)?,
             sender: self.sender.clone(),
             spool: self.spool.clone(),
             state: Arc::new(LinkState::new(address)),

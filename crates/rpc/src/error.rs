@@ -31,6 +31,20 @@ pub enum RpcError {
         /// The cause.
         reason: String,
     },
+    /// Certificates or tokens cannot be used.
+    #[error(transparent)]
+    Security(#[from] crate::SecurityError),
+    /// Certificate, key and authority do not make a TLS configuration.
+    #[error("TLS cannot be set up: {0}; look at --tls-ca, --tls-cert and --tls-key")]
+    Tls(String),
+    /// A server does not serve.
+    #[error("{address} does not serve: {reason}")]
+    Unhealthy {
+        /// The server's address.
+        address: String,
+        /// Why.
+        reason: String,
+    },
     /// The server ended with an error.
     #[error("server failed: {0}")]
     Serve(String),
@@ -71,6 +85,12 @@ pub enum RpcError {
         /// What the client was waiting for.
         why: Option<String>,
     },
+}
+
+impl RpcError {
+    pub(crate) fn tls(error: &tonic::transport::Error) -> Self {
+        Self::Tls(with_causes(error.to_string(), error))
+    }
 }
 
 /// What a service answers instead of a reply.
@@ -146,8 +166,47 @@ pub(crate) fn words(status: &Status) -> String {
         return status.code().description().to_lowercase();
     }
     // hyper's own words ("transport error") hide the cause, which is what a person can act on.
-    let mut words = status.message().to_owned();
-    let mut source = std::error::Error::source(status);
+    let mut words = with_causes(status.message().to_owned(), status);
+    if let Some((_, cure)) = CURES.iter().find(|(sign, _)| words.contains(sign)) {
+        words = format!("{words}; {cure}");
+    }
+    words
+}
+
+/// What two sides that do not agree on TLS see of it, and what helps.
+const CURES: [(&str, &str); 7] = [
+    (
+        "frame with invalid size",
+        "it seems to speak TLS: give --tls-ca, or --secrets",
+    ),
+    (
+        "corrupt message of type InvalidContentType",
+        "it does not speak TLS: start it with certificates, or leave --tls-ca and --secrets out",
+    ),
+    (
+        "UnknownIssuer",
+        "its certificate comes from another authority than --tls-ca",
+    ),
+    (
+        "NotValidForName",
+        "its certificate is made out to other names: `isodream secrets DIR --host NAME` names this one",
+    ),
+    (
+        "invalid peer certificate: certificate expired",
+        "make new certificates, and look at the clocks of both machines",
+    ),
+    (
+        "CertificateRequired",
+        "it asks for a certificate: give --tls-cert and --tls-key, or --secrets",
+    ),
+    (
+        "received fatal alert",
+        "it does not accept this process's certificate (--tls-cert)",
+    ),
+];
+
+fn with_causes(mut words: String, error: &dyn std::error::Error) -> String {
+    let mut source = error.source();
     while let Some(cause) = source {
         let cause_words = cause.to_string();
         if !words.contains(&cause_words) {

@@ -1,7 +1,7 @@
-//! Every transport decision, once: channels, deadlines, caps, retries, shutdown.
+//! Every transport decision, once: connections, security, deadlines, caps, retries, shutdown.
 //!
-//! - [`replay_client`], [`learner_client`]: connections with this project's limits ([`limits`])
-//! - [`bind`], [`server`], [`serve`]: the skeleton of every server
+//! - [`Dialer`]: connections with this project's limits ([`limits`]) and a process's [`Credentials`]
+//! - [`bind`], [`server`], [`serve`]: the skeleton of every server, behind its [`Door`]
 //! - [`ServiceError`]: the one mapping between errors and gRPC status; [`is_refusal`] reads it back
 //! - [`shutdown_on_signal`], [`reconnect_delays`]
 //! - [`AppendClient`], [`SampleClient`]: the two ends of experience over any number of replay-servers, which
@@ -13,7 +13,7 @@ mod append_client;
 mod append_link;
 mod append_route;
 mod backoff;
-mod channel;
+mod dialer;
 mod environment;
 mod error;
 pub mod limits;
@@ -24,6 +24,7 @@ mod sample_client;
 mod sample_link;
 mod sample_merge;
 mod sample_watch;
+mod security;
 mod sequence;
 mod server;
 mod shutdown;
@@ -31,7 +32,7 @@ mod spool;
 
 pub use append_client::{AppendClient, AppendOptions};
 pub use backoff::{reconnect_delays, retry};
-pub use channel::{channel, learner_client, replay_client};
+pub use dialer::{Dialer, LearnerClient, ReplayClient, Wire};
 pub use environment::{
     ENVIRONMENT_PATIENCE, EnvironmentServer, RemoteEnvironment, RemoteOptions, environment_spec,
     open_environment, open_environments, remote_address,
@@ -41,6 +42,9 @@ pub use network::{Network, Resolving, Tcp};
 pub use priorities::{PriorityHandle, PriorityUpdate};
 pub use sample_client::{SampleClient, SampleOptions, SampledSequence};
 pub use sample_watch::SampleWatch;
+pub use security::{Bearer, Credentials, Door, Files, GuardLayer, Role, SecurityError, Tokens};
 pub use sequence::SequenceError;
-pub use server::{Connection, bind, serve, serve_connections, server, serving};
+pub use server::{
+    Connection, GuardedRouter, GuardedServer, bind, serve, serve_connections, server, serving,
+};
 pub use shutdown::shutdown_on_signal;

@@ -10,8 +10,14 @@ pub const MAX_FRAME_BYTES: u32 = 1 << 20;
 pub const STREAM_WINDOW_BYTES: u32 = 8 << 20;
 /// HTTP/2 window of one connection in bytes.
 pub const CONNECTION_WINDOW_BYTES: u32 = 32 << 20;
-/// How long connecting may take.
+/// How long connecting may take, and then the TLS handshake.
 pub const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+/// Connections that a server accepts per second; what comes faster waits in the kernel's queue.
+pub const HANDSHAKES_PER_SECOND: u32 = 500;
+/// Open connections of the bearers of one token at most, unless a server is told otherwise.
+pub const MAX_CONNECTIONS_PER_TOKEN: usize = 20_000;
+/// Calls that one connection may have open: clients here need a handful.
+pub const MAX_STREAMS_PER_CONNECTION: u32 = 256;
 /// Pause between HTTP/2 keepalive pings.
 pub const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(10);
 /// How long a ping may stay unanswered before the connection counts as dead.

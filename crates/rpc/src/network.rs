@@ -32,18 +32,19 @@ impl Network for Tcp {
     }
 }
 
-/// `addresses` with every name that stands for several servers replaced by all of them, in a stable order.
+/// `addresses` with every name that stands for several servers replaced by all of them, in a stable order, and
+/// beside each the name that it was found under.
 ///
 /// A name with one address stays a name, so that it is looked up again at each connection; one that cannot be
 /// resolved stays as well, and connecting to it says why. Of two address families only IPv4 counts, or a
 /// server that listens on both would be two.
-pub(crate) async fn resolve_all(network: &dyn Network, addresses: &[String]) -> Vec<String> {
-    let mut all = Vec::new();
+pub(crate) async fn resolve_all(
+    network: &dyn Network,
+    addresses: &[String],
+) -> Vec<(String, String)> {
+    let mut all: Vec<(String, String)> = Vec::new();
     for address in addresses {
-        let found = match address.split_once("://") {
-            None => network.resolve(address.clone()).await.unwrap_or_default(),
-            Some(_) => Vec::new(),
-        };
+        let found = network.resolve(address.clone()).await.unwrap_or_default();
         let has_v4 = found.iter().any(SocketAddr::is_ipv4);
         let mut servers: Vec<String> = found
             .iter()
@@ -56,8 +57,8 @@ pub(crate) async fn resolve_all(network: &dyn Network, addresses: &[String]) -> 
             servers = vec![address.clone()];
         }
         for server in servers {
-            if !all.contains(&server) {
-                all.push(server);
+            if !all.iter().any(|(known, _)| *known == server) {
+                all.push((server, address.clone()));
             }
         }
     }
@@ -92,9 +93,16 @@ mod tests {
     #[tokio::test]
     async fn names_of_several_servers_are_all_of_them_and_others_stay() {
         let addresses = ["unknown:1", "replay:1", "localhost:1", "10.0.0.1:1"].map(str::to_owned);
+        let found = resolve_all(&Names, &addresses).await;
+        let expected = [
+            ("unknown:1", "unknown:1"),
+            ("10.0.0.1:1", "replay:1"),
+            ("10.0.0.2:1", "replay:1"),
+            ("localhost:1", "localhost:1"),
+        ];
         assert_eq!(
-            resolve_all(&Names, &addresses).await,
-            ["unknown:1", "10.0.0.1:1", "10.0.0.2:1", "localhost:1"]
+            found,
+            expected.map(|(server, name)| (server.to_owned(), name.to_owned()))
         );
     }
 }

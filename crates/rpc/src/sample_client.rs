@@ -12,7 +12,7 @@ use crate::append_client::check_addresses;
 use crate::priorities::{PriorityHandle, PriorityUpdate, priorities};
 use crate::sample_merge::SampleMerge;
 use crate::sample_watch::SampleWatch;
-use crate::{Network, RpcError, Tcp};
+use crate::{Dialer, RpcError};
 
 /// Settings of a [`SampleClient`].
 #[derive(Debug, Clone)]
@@ -77,29 +77,19 @@ impl SampleClient {
     /// Starts the client; it connects in the background.
     ///
     /// # Errors
-    /// [`RpcError::Address`] where an address cannot be one or there is none.
+    /// [`RpcError::Address`] where an address cannot be one or there is none, [`RpcError::Tls`] where the dialer's
+    /// certificates make no sense.
     ///
     /// # Panics
     /// Outside a tokio runtime.
-    pub fn start(options: SampleOptions) -> Result<Self, RpcError> {
-        Self::start_over(Arc::new(Tcp), options)
-    }
-
-    /// [`SampleClient::start`] over any network.
-    ///
-    /// # Errors
-    /// As [`SampleClient::start`].
-    ///
-    /// # Panics
-    /// Outside a tokio runtime.
-    pub fn start_over(network: Arc<dyn Network>, options: SampleOptions) -> Result<Self, RpcError> {
-        let peers = check_addresses(network.as_ref(), &options.addresses)?;
+    pub fn start(dialer: &Dialer, options: SampleOptions) -> Result<Self, RpcError> {
+        let peers = check_addresses(dialer, &options.addresses)?;
         // One credit at each server may be stuck, and that must not hold the others up.
         let capacity = options.prefetch.max(2 * options.addresses.len());
         let (sender, sequences) = mpsc::channel(capacity);
         let watch = SampleWatch::default();
         let (priorities, updates) = priorities(watch.clone(), peers.clone());
-        let merge = SampleMerge::new(network, options, sender, updates, watch.clone());
+        let merge = SampleMerge::new(dialer.clone(), options, sender, updates, watch.clone());
         let cancel = CancellationToken::new();
         let cancelled = cancel.clone();
         tokio::spawn(cancelled.run_until_cancelled_owned(merge.run()));

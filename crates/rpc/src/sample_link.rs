@@ -2,18 +2,16 @@
 
 use std::sync::Arc;
 
-use isodream_proto::v1::replay_service_client::ReplayServiceClient;
 use isodream_proto::v1::{ReplayStatus, ReplayStatusRequest, SampleReply, SampleRequest};
 use tokio::sync::{mpsc, oneshot};
 use tokio::time::{Instant, timeout};
 use tokio_stream::wrappers::ReceiverStream;
-use tonic::transport::Channel;
 use tonic::{Status, Streaming};
 
 use crate::error::words;
 use crate::limits::{RECONNECT_DELAYS, STATUS_INTERVAL, STATUS_TIMEOUT};
 use crate::link_state::LinkState;
-use crate::{RpcError, is_refusal, reconnect_delays};
+use crate::{ReplayClient, RpcError, is_refusal, reconnect_delays};
 
 /// What a link reports, in the order in which it happened.
 pub(crate) enum Event {
@@ -36,7 +34,7 @@ pub(crate) enum Event {
 
 pub(crate) struct SampleLink {
     pub(crate) address: String,
-    pub(crate) client: ReplayServiceClient<Channel>,
+    pub(crate) client: ReplayClient,
     pub(crate) state: Arc<LinkState>,
     /// Requests queued on one connection at most.
     pub(crate) requests_ahead: usize,

@@ -15,14 +15,12 @@ use rand_chacha::ChaCha8Rng;
 use tokio::sync::mpsc::{self, OwnedPermit};
 use tokio::task::JoinSet;
 
-use crate::channel::replay_client_over;
 use crate::limits::RESOLVE_INTERVAL;
 use crate::link_state::LinkState;
-use crate::network::resolve_all;
 use crate::priorities::{BATCHES_AHEAD, PriorityUpdate, message};
 use crate::sample_link::{Event, SampleLink};
 use crate::sample_watch::SampleWatch;
-use crate::{Network, SampleOptions, SampledSequence};
+use crate::{Dialer, SampleOptions, SampledSequence};
 
 /// Credits that a server may keep while its limiter makes draws wait.
 const WAITING_CREDITS: u32 = 1;
@@ -31,7 +29,7 @@ const WAITING_CREDITS: u32 = 1;
 const EVENTS: usize = 64;
 
 pub(crate) struct SampleMerge {
-    network: Arc<dyn Network>,
+    dialer: Dialer,
     options: SampleOptions,
     watch: SampleWatch,
     sequences: mpsc::Sender<SampledSequence>,
@@ -57,7 +55,7 @@ struct Server {
 
 impl SampleMerge {
     pub(crate) fn new(
-        network: Arc<dyn Network>,
+        dialer: Dialer,
         options: SampleOptions,
         sequences: mpsc::Sender<SampledSequence>,
         priorities: mpsc::Receiver<Vec<PriorityUpdate>>,
@@ -65,7 +63,7 @@ impl SampleMerge {
     ) -> Self {
         let sampled_steps = options.sampled_steps.iter();
         Self {
-            network,
+            dialer,
             sequences,
             priorities,
             watch,
@@ -88,7 +86,7 @@ impl SampleMerge {
         let mut linked = Vec::new();
         let (found, mut looked_up) = mpsc::channel(1);
         links.spawn(look_up(
-            self.network.clone(),
+            self.dialer.clone(),
             self.options.addresses.clone(),
             found,
         ));
@@ -121,7 +119,7 @@ impl SampleMerge {
 
     fn link(&self, address: &str, events: &mpsc::Sender<(String, Event)>) -> Option<SampleLink> {
         let state = Arc::new(LinkState::new(address));
-        let client = replay_client_over(self.network.as_ref(), address).ok()?;
+        let client = self.dialer.replay(address).ok()?;
         self.watch.add(state.clone());
         Some(SampleLink {
             address: address.to_owned(),
@@ -325,16 +323,8 @@ impl SampleMerge {
 }
 
 /// Tells again and again which servers `addresses` stand for.
-async fn look_up(
-    network: Arc<dyn Network>,
-    addresses: Vec<String>,
-    found: mpsc::Sender<Vec<String>>,
-) {
-    while found
-        .send(resolve_all(network.as_ref(), &addresses).await)
-        .await
-        .is_ok()
-    {
+async fn look_up(dialer: Dialer, addresses: Vec<String>, found: mpsc::Sender<Vec<String>>) {
+    while found.send(dialer.resolve(&addresses).await).await.is_ok() {
         tokio::time::sleep(RESOLVE_INTERVAL).await;
     }
 }

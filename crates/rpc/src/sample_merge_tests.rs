@@ -1,7 +1,7 @@
 use isodream_proto::Identity;
 
 use super::*;
-use crate::Tcp;
+use crate::Dialer;
 
 const PREFETCH: usize = 40;
 /// Batches of priorities that wait for a server.
@@ -33,7 +33,7 @@ impl Bench {
         let (_, priorities) = mpsc::channel(1);
         let watch = SampleWatch::default();
         Self {
-            merge: SampleMerge::new(Arc::new(Tcp), options, sender, priorities, watch),
+            merge: SampleMerge::new(Dialer::default(), options, sender, priorities, watch),
             sequences,
             requests: BTreeMap::new(),
         }

@@ -68,7 +68,8 @@ impl Server {
             deadline,
             ..RemoteOptions::default()
         };
-        RemoteEnvironment::connect(&self.address, options).unwrap()
+        RemoteEnvironment::connect(&isodream_rpc::Dialer::default(), &self.address, options)
+            .unwrap()
     }
 }
 

@@ -7,7 +7,7 @@ use isodream_core::{Config, EnvSpec};
 use isodream_model::batch::preprocess;
 use isodream_model::laps::cpu_time;
 use isodream_model::{ActingModel, Actions};
-use isodream_rpc::{ENVIRONMENT_PATIENCE, environment_spec};
+use isodream_rpc::{Dialer, ENVIRONMENT_PATIENCE, environment_spec};
 use serde::Serialize;
 use tch::{Device, Kind, Tensor};
 
@@ -43,7 +43,7 @@ struct ActorBench {
 /// Runs the command.
 pub(super) fn run(args: &ActorBenchArgs) -> anyhow::Result<()> {
     let config = args.config.load()?;
-    let spec = environment_spec(&config.env, ENVIRONMENT_PATIENCE)?;
+    let spec = environment_spec(&Dialer::default(), &config.env, ENVIRONMENT_PATIENCE)?;
     tch::set_num_threads(config.actor.threads);
     let results: Vec<ActorBench> = args
         .environments

@@ -7,7 +7,7 @@ use isodream_model::cost::UpdateCost;
 use isodream_model::laps::{Lap, Laps};
 use isodream_model::precision::product_kind;
 use isodream_model::{Agent, Batch};
-use isodream_rpc::{ENVIRONMENT_PATIENCE, environment_spec};
+use isodream_rpc::{Dialer, ENVIRONMENT_PATIENCE, environment_spec};
 use serde::Serialize;
 use tch::{Device, Kind, Tensor};
 
@@ -98,7 +98,7 @@ pub(super) fn run(args: &LearnerBenchArgs) -> anyhow::Result<()> {
 }
 
 fn measure(config: &Config, steps: u32, device: Device) -> anyhow::Result<LearnerBench> {
-    let spec = environment_spec(&config.env, ENVIRONMENT_PATIENCE)?;
+    let spec = environment_spec(&Dialer::default(), &config.env, ENVIRONMENT_PATIENCE)?;
     let mut agent = Agent::new(config, &spec, device);
     let batch = random_batch(config, spec.action_dim as i64, device);
     // Warm-up: libraries choose their kernels and allocators fill.

@@ -1,8 +1,11 @@
 //! `isodream bench`: how fast the parts are on this machine. Everything that is compared with something else is
 //! measured in the same run.
 
+#[cfg(feature = "torch")]
 mod actor;
+#[cfg(feature = "torch")]
 mod learner;
+#[cfg(feature = "torch")]
 mod machine;
 mod replay;
 
@@ -12,8 +15,10 @@ use clap::Subcommand;
 #[derive(Debug, Subcommand)]
 pub(crate) enum BenchCommand {
     /// Training steps of the learner, by phase, beside the machine's own matrix products
+    #[cfg(feature = "torch")]
     Learner(learner::LearnerBenchArgs),
     /// Decisions of the deployed policy: latency and environment steps per CPU second
+    #[cfg(feature = "torch")]
     Actor(actor::ActorBenchArgs),
     /// Insertion and sampling through a replay-server, beside what memory, loopback and disk can do
     Replay(replay::ReplayBenchArgs),
@@ -25,7 +30,9 @@ pub(crate) enum BenchCommand {
 /// Runs the command.
 pub(crate) fn run(command: &BenchCommand) -> anyhow::Result<()> {
     match command {
+        #[cfg(feature = "torch")]
         BenchCommand::Learner(args) => learner::run(args),
+        #[cfg(feature = "torch")]
         BenchCommand::Actor(args) => actor::run(args),
         BenchCommand::Replay(args) => replay::run(args),
         BenchCommand::ReplayPart(args) => replay::run_part(args),

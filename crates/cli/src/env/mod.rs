@@ -2,6 +2,7 @@
 
 mod bench;
 mod list;
+#[cfg(feature = "torch")]
 mod play;
 mod serve;
 #[cfg(feature = "mujoco")]
@@ -11,7 +12,7 @@ use clap::Subcommand;
 use isodream_core::Config;
 use isodream_core::config::{EnvConfig, Source};
 use isodream_envs::Environment;
-use isodream_rpc::{RemoteEnvironment, RemoteOptions, remote_address};
+use isodream_rpc::{Dialer, RemoteEnvironment, RemoteOptions, remote_address};
 use tokio::runtime::Runtime;
 
 /// What to do with environments.
@@ -20,6 +21,7 @@ pub(crate) enum EnvCommand {
     /// The ids of all environments
     List(list::ListArgs),
     /// Watch an episode: a video, an animation or a contact sheet
+    #[cfg(feature = "torch")]
     Play(play::PlayArgs),
     /// Let another process drive environments, over gRPC
     Serve(serve::ServeArgs),
@@ -34,6 +36,7 @@ pub(crate) enum EnvCommand {
 pub(crate) fn run(command: &EnvCommand, runtime: &Runtime) -> anyhow::Result<()> {
     match command {
         EnvCommand::List(args) => list::run(args),
+        #[cfg(feature = "torch")]
         EnvCommand::Play(args) => play::run(args),
         EnvCommand::Serve(args) => runtime.block_on(serve::run(args)),
         EnvCommand::Bench(args) => bench::run(args),
@@ -61,10 +64,10 @@ fn env_config(id: &str, set: &[String]) -> anyhow::Result<EnvConfig> {
 
 /// The environment of `config`, in this process or, for an id `grpc://host:port`, in another one, and then as it
 /// is there.
-fn open(config: &EnvConfig) -> anyhow::Result<Box<dyn Environment>> {
+fn open(dialer: &Dialer, config: &EnvConfig) -> anyhow::Result<Box<dyn Environment>> {
     match remote_address(&config.id) {
         Some(address) => {
-            let remote = RemoteEnvironment::connect(address, RemoteOptions::default())?;
+            let remote = RemoteEnvironment::connect(dialer, address, RemoteOptions::default())?;
             Ok(Box::new(remote))
         }
         None => Ok(isodream_envs::make(config)?),

@@ -10,10 +10,12 @@ use isodream_actor::rollout::{Outcome, Pilot, episode};
 use isodream_envs::{Environment, ScriptedDriver, Statistics};
 use isodream_learner::checkpoint::Checkpoint;
 use isodream_model::Actions;
+use isodream_rpc::Role;
 use isodream_telemetry::{Rgb, write_gif, write_mp4};
 
 use super::{env_config, open};
 use crate::output::print;
+use crate::security::ClientArgs;
 
 /// Columns of a contact sheet.
 const COLUMNS: usize = 8;
@@ -49,6 +51,8 @@ pub(crate) struct PlayArgs {
     /// A setting of the environment, for example env.vehicles=10; may be repeated
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
+    #[command(flatten)]
+    security: ClientArgs,
 }
 
 /// Runs the command.
@@ -63,7 +67,7 @@ pub(super) fn run(args: &PlayArgs) -> anyhow::Result<()> {
     if let Some(checkpoint) = &checkpoint {
         config.image_size = checkpoint.config.env.image_size;
     }
-    let mut env = Statistics::new(open(&config)?);
+    let mut env = Statistics::new(open(&args.security.dialer(Role::Actor)?, &config)?);
     let (outcome, frames) = match &checkpoint {
         Some(checkpoint) => {
             let mut agent = AgentPolicy::new(&checkpoint.config, env.spec(), 1, &checkpoint.model)

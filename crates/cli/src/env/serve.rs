@@ -1,16 +1,14 @@
 //! `isodream env serve`.
 
-use std::net::SocketAddr;
 use std::thread::available_parallelism;
 
-use anyhow::Context;
 use clap::Args;
 use isodream_rpc::EnvironmentServer;
 use isodream_rpc::shutdown_on_signal;
-use tokio::net::TcpListener;
 
 use super::env_config;
 use crate::output::print;
+use crate::security::ServerArgs;
 
 /// Options of `isodream env serve`.
 #[derive(Debug, Args)]
@@ -19,7 +17,7 @@ pub(crate) struct ServeArgs {
     id: String,
     /// Where to listen; port 0 picks a free one
     #[arg(long, default_value = "127.0.0.1:0")]
-    listen: SocketAddr,
+    listen: String,
     /// How many environments; clients take as many as they ask for. Training takes those of all its actors and
     /// one for evaluation: actor.collectors x actor.environments + 1
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
@@ -27,6 +25,8 @@ pub(crate) struct ServeArgs {
     /// A setting of the environments, for example env.vehicles=10; may be repeated
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
+    #[command(flatten)]
+    door: ServerArgs,
 }
 
 /// Serves until a signal to stop.
@@ -37,10 +37,9 @@ pub(super) async fn run(args: &ServeArgs) -> anyhow::Result<()> {
         environments.push(isodream_envs::make(&config)?);
     }
     let server = EnvironmentServer::new(environments, available_parallelism()?)?;
-    let listener = TcpListener::bind(args.listen)
-        .await
-        .with_context(|| format!("cannot listen on {}", args.listen))?;
+    let door = args.door.door()?;
+    let listener = isodream_rpc::bind(&args.listen, &door).await?;
     print(&format!("{} at grpc://{}", args.id, listener.local_addr()?));
-    server.serve(listener, shutdown_on_signal()?).await?;
+    server.serve(listener, door, shutdown_on_signal()?).await?;
     Ok(())
 }

@@ -6,6 +6,7 @@
 mod processes;
 mod progress;
 
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -14,11 +15,12 @@ use clap::Args;
 use isodream_core::Config;
 use isodream_core::config::EnvConfig;
 use isodream_envs::{EnvError, make};
-use isodream_rpc::{environment_spec, remote_address, shutdown_on_signal};
+use isodream_rpc::{Dialer, Door, Role, environment_spec, remote_address, shutdown_on_signal};
 
 use crate::config_args::ConfigArgs;
 use crate::eval::evaluate;
 use crate::output::print;
+use crate::security::ServerArgs;
 use processes::{Process, Processes};
 use progress::Progress;
 
@@ -45,13 +47,22 @@ pub(crate) struct TrainArgs {
     /// Where the learner listens; a free port by default
     #[arg(long, default_value = "127.0.0.1:0")]
     learner_listen: String,
+    /// A folder made by `isodream secrets`: certificates on both sides, and tokens, also for actors that join from
+    /// other machines
+    #[arg(long, value_name = "DIR", env = "ISODREAM_SECRETS")]
+    secrets: Option<PathBuf>,
+    /// Listen where other machines can reach it though nothing guards it
+    #[arg(long, env = "ISODREAM_INSECURE")]
+    insecure: bool,
 }
 
 /// Runs the command.
 pub(crate) async fn run(args: TrainArgs) -> anyhow::Result<()> {
     let config = resolve(&args.config, &args.run_dir)?;
     // Everything that can be wrong is told before the run directory is touched.
-    tokio::task::block_in_place(|| check_environment(&config.env))?;
+    let security = ServerArgs::of_train(args.secrets.clone(), args.insecure);
+    let dialer = security.client.dialer(Role::Learner)?;
+    tokio::task::block_in_place(|| check_environment(&dialer, &config.env))?;
     ensure!(
         config.actor.collectors > 0,
         "actor.collectors: must be greater than 0, or nobody collects experience"
@@ -63,7 +74,9 @@ pub(crate) async fn run(args: TrainArgs) -> anyhow::Result<()> {
                 .with_context(|| format!("--minutes {minutes}: must be a positive number"))
         })
         .transpose()?;
-    let (replay, learner) = fixed_addresses(&args.replay_listen, &args.learner_listen).await?;
+    let door = security.door()?;
+    let replay = Place::find(&args.replay_listen, &door).await?;
+    let learner = Place::find(&args.learner_listen, &door).await?;
     let config_path = args.run_dir.join("config.toml");
     std::fs::create_dir_all(args.run_dir.join("logs"))
         .and_then(|()| std::fs::write(&config_path, config.to_toml()))
@@ -78,22 +91,28 @@ pub(crate) async fn run(args: TrainArgs) -> anyhow::Result<()> {
             path(&config_path),
             "--supervised".into(),
         ];
+        if let Some(folder) = &args.secrets {
+            all.extend(["--secrets".into(), path(folder)]);
+        }
+        if args.insecure && role != "actor" {
+            all.push("--insecure".into());
+        }
         all.extend(more.iter().map(|&arg| arg.to_owned()));
         all
     };
     let store = path(&args.run_dir.join("replay"));
     processes.add(Process::new(
         "replay",
-        with_config("replay", &["--dir", &store, "--listen", &replay]),
+        with_config("replay", &["--dir", &store, "--listen", &replay.listen]),
     ));
     let run_dir = path(&args.run_dir);
     let learner_args = [
         "--run-dir",
         &run_dir,
         "--listen",
-        &learner,
+        &learner.listen,
         "--replay",
-        &replay,
+        &replay.reach,
     ];
     processes.add(Process::new(
         "learner",
@@ -106,9 +125,9 @@ pub(crate) async fn run(args: TrainArgs) -> anyhow::Result<()> {
             "--role",
             role,
             "--replay",
-            &replay,
+            &replay.reach,
             "--learner",
-            &learner,
+            &learner.reach,
         ];
         Process::new(id, with_config("actor", &args))
     };
@@ -118,7 +137,8 @@ pub(crate) async fn run(args: TrainArgs) -> anyhow::Result<()> {
     processes.add(actor("evaluator", "evaluate"));
 
     let started = Instant::now();
-    let mut progress = Progress::new(&config, &replay, &learner)?;
+    let asking = security.client.dialer(Role::Viewer)?;
+    let mut progress = Progress::new(&config, asking, &replay.reach, &learner.reach)?;
     let ended = loop {
         if let Err(error) = processes.tend() {
             processes.stop().await;
@@ -151,8 +171,9 @@ pub(crate) async fn run(args: TrainArgs) -> anyhow::Result<()> {
     }
     eprintln!("evaluating {} episodes per policy ...", args.eval_episodes);
     let go_on = || !shutdown.is_cancelled();
-    let evaluation =
-        tokio::task::block_in_place(|| evaluate(&args.run_dir, args.eval_episodes, &go_on))?;
+    let evaluation = tokio::task::block_in_place(|| {
+        evaluate(&dialer, &args.run_dir, args.eval_episodes, &go_on)
+    })?;
     let file = args.run_dir.join("evaluation.json");
     std::fs::write(&file, serde_json::to_string_pretty(&evaluation)?)
         .with_context(|| format!("cannot write {}", file.display()))?;
@@ -180,24 +201,36 @@ fn resolve(asked: &ConfigArgs, run_dir: &Path) -> anyhow::Result<Config> {
 }
 
 /// Makes one environment, or asks another process what it has.
-fn check_environment(config: &EnvConfig) -> Result<(), EnvError> {
+fn check_environment(dialer: &Dialer, config: &EnvConfig) -> Result<(), EnvError> {
     match remote_address(&config.id) {
-        Some(_) => environment_spec(config, Duration::ZERO).map(drop),
+        Some(_) => environment_spec(dialer, config, Duration::ZERO).map(drop),
         None => make(config).map(drop),
     }
 }
 
-/// The addresses with port 0 replaced by free ports, which restarted roles can then come back to.
-async fn fixed_addresses(replay: &str, learner: &str) -> anyhow::Result<(String, String)> {
-    let listeners = (
-        isodream_rpc::bind(replay).await?,
-        isodream_rpc::bind(learner).await?,
-    );
-    let address = |listener: &tokio::net::TcpListener| -> anyhow::Result<String> {
-        let address = listener
+/// Where a role listens, and where the others on this machine find it.
+struct Place {
+    listen: String,
+    reach: String,
+}
+
+impl Place {
+    /// `address` with port 0 replaced by a free port, which a restarted role can then come back to.
+    async fn find(address: &str, door: &Door) -> anyhow::Result<Self> {
+        let listener = isodream_rpc::bind(address, door).await?;
+        let listen = listener
             .local_addr()
             .context("the listener has no address")?;
-        Ok(address.to_string())
-    };
-    Ok((address(&listeners.0)?, address(&listeners.1)?))
+        let mut reach = listen;
+        if listen.ip().is_unspecified() {
+            reach.set_ip(match listen {
+                SocketAddr::V4(_) => Ipv4Addr::LOCALHOST.into(),
+                SocketAddr::V6(_) => Ipv6Addr::LOCALHOST.into(),
+            });
+        }
+        Ok(Self {
+            listen: listen.to_string(),
+            reach: reach.to_string(),
+        })
+    }
 }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use isodream_core::Config;
 use isodream_proto::v1;
-use isodream_rpc::{learner_client, replay_client};
+use isodream_rpc::Dialer;
 
 use super::processes::{Process, Processes};
 
@@ -20,6 +20,7 @@ const ANSWER_DEADLINE: Duration = Duration::from_millis(500);
 pub(crate) struct Progress {
     bars: MultiProgress,
     lines: Vec<ProgressBar>,
+    dialer: Dialer,
     learner: String,
     replay: String,
     total_updates: u64,
@@ -37,13 +38,19 @@ struct Answers {
 }
 
 impl Progress {
-    pub(crate) fn new(config: &Config, replay: &str, learner: &str) -> anyhow::Result<Self> {
+    pub(crate) fn new(
+        config: &Config,
+        dialer: Dialer,
+        replay: &str,
+        learner: &str,
+    ) -> anyhow::Result<Self> {
         // Wrong addresses are told before anything starts.
-        learner_client(learner)?;
-        replay_client(replay)?;
+        dialer.learner(learner)?;
+        dialer.replay(replay)?;
         Ok(Self {
             bars: MultiProgress::new(),
             lines: Vec::new(),
+            dialer,
             learner: learner.to_owned(),
             replay: replay.to_owned(),
             total_updates: config.total_updates(),
@@ -83,7 +90,7 @@ impl Progress {
 
     async fn ask(&self) -> Answers {
         let learner = async {
-            let mut client = learner_client(&self.learner).ok()?;
+            let mut client = self.dialer.learner(&self.learner).ok()?;
             Some(
                 client
                     .status(v1::LearnerStatusRequest {})
@@ -93,7 +100,7 @@ impl Progress {
             )
         };
         let replay = async {
-            let mut client = replay_client(&self.replay).ok()?;
+            let mut client = self.dialer.replay(&self.replay).ok()?;
             Some(
                 client
                     .status(v1::ReplayStatusRequest {})

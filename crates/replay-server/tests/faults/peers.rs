@@ -77,7 +77,7 @@ async fn hanging_actor(address: &str, number: u64) -> impl Sized {
     };
     let kind = Some(append_request::Kind::Hello(hello));
     requests.send(AppendRequest { kind }).await.unwrap();
-    let mut client = isodream_rpc::replay_client(address).unwrap();
+    let mut client = isodream_rpc::Dialer::default().replay(address).unwrap();
     let append = client.append(ReceiverStream::new(outbound));
     (requests, append.await.unwrap(), client)
 }
@@ -103,7 +103,7 @@ async fn hanging_learner(address: &str) -> impl Sized {
         let kind = Some(kind);
         requests.send(SampleRequest { kind }).await.unwrap();
     }
-    let mut client = isodream_rpc::replay_client(address).unwrap();
+    let mut client = isodream_rpc::Dialer::default().replay(address).unwrap();
     let sample = client.sample(ReceiverStream::new(outbound));
     (requests, sample.await.unwrap(), client)
 }

@@ -10,7 +10,7 @@ use isodream_proto::v1::ReplayStatusRequest;
 use isodream_replay::{Capacity, LimiterOptions, Selector, StoreOptions, Table};
 use isodream_replay_server::{ServedTable, ServerOptions, is_disk_failure, serve};
 use isodream_rpc::limits::FAILOVER_AFTER;
-use isodream_rpc::{AppendClient, AppendOptions};
+use isodream_rpc::{AppendClient, AppendOptions, Door};
 use tokio_util::sync::CancellationToken;
 
 /// Longer than anything here takes on a busy machine.
@@ -50,9 +50,10 @@ fn server_role() {
             table: Table::new("train", Selector::Episodes),
             limited: true,
         }],
+        door: Door::default(),
     };
     let served = tokio::runtime::Runtime::new().unwrap().block_on(async {
-        let listener = isodream_rpc::bind(&address).await?;
+        let listener = isodream_rpc::bind(&address, &Door::default()).await?;
         serve(options, listener, CancellationToken::new()).await
     });
     let error = served.unwrap_err();
@@ -143,7 +144,7 @@ pub(crate) fn free_address() -> String {
 pub(crate) async fn inserted_steps(address: &str) -> u64 {
     let since = Instant::now();
     loop {
-        let mut client = isodream_rpc::replay_client(address).unwrap();
+        let mut client = isodream_rpc::Dialer::default().replay(address).unwrap();
         match client.status(ReplayStatusRequest {}).await {
             Ok(status) => return status.into_inner().inserted_steps,
             Err(status) => assert!(since.elapsed() < DEADLINE, "{status}"),
@@ -168,15 +169,18 @@ pub(crate) fn identity() -> Identity {
 }
 
 pub(crate) fn actor(address: &str, number: u64) -> AppendClient {
-    AppendClient::start(AppendOptions {
-        addresses: vec![address.to_owned()],
-        identity: identity(),
-        actor_id: format!("actor-{number}"),
-        epoch: 1,
-        spool_chunks: 4,
-        spool_bytes: usize::MAX,
-        failover_after: FAILOVER_AFTER,
-    })
+    AppendClient::start(
+        &isodream_rpc::Dialer::default(),
+        AppendOptions {
+            addresses: vec![address.to_owned()],
+            identity: identity(),
+            actor_id: format!("actor-{number}"),
+            epoch: 1,
+            spool_chunks: 4,
+            spool_bytes: usize::MAX,
+            failover_after: FAILOVER_AFTER,
+        },
+    )
     .unwrap()
 }
 

@@ -49,10 +49,13 @@ impl Server {
             },
             limiter,
             tables: tables(),
+            door: isodream_rpc::Door::default(),
         };
         let since = Instant::now();
         loop {
-            let listener = match runtime.block_on(isodream_rpc::bind(address)) {
+            let listener = match runtime
+                .block_on(isodream_rpc::bind(address, &isodream_rpc::Door::default()))
+            {
                 Ok(listener) => listener,
                 // The predecessor's runtime lets go of it in its own time.
                 Err(RpcError::InUse { .. }) if since.elapsed() < DEADLINE => {
@@ -65,7 +68,7 @@ impl Server {
             let shutdown = CancellationToken::new();
             let running = runtime.spawn(serve(options.clone(), listener, shutdown.clone()));
             let up = runtime.block_on(async {
-                let mut client = isodream_rpc::replay_client(&address).unwrap();
+                let mut client = isodream_rpc::Dialer::default().replay(&address).unwrap();
                 while !running.is_finished() {
                     if client
                         .status(isodream_proto::v1::ReplayStatusRequest {})
@@ -138,7 +141,11 @@ pub(crate) fn identity(id: &str) -> Identity {
 }
 
 pub(crate) fn actor(address: &str, epoch: u64, spool_chunks: usize) -> AppendClient {
-    AppendClient::start(appending(address, epoch, spool_chunks)).unwrap()
+    AppendClient::start(
+        &isodream_rpc::Dialer::default(),
+        appending(address, epoch, spool_chunks),
+    )
+    .unwrap()
 }
 
 pub(crate) fn appending(address: &str, epoch: u64, spool_chunks: usize) -> AppendOptions {
@@ -167,7 +174,11 @@ pub(crate) fn sampling(address: &str, sequence_length: u32) -> SampleOptions {
 }
 
 pub(crate) fn learner(address: &str, sequence_length: u32) -> SampleClient {
-    SampleClient::start(sampling(address, sequence_length)).unwrap()
+    SampleClient::start(
+        &isodream_rpc::Dialer::default(),
+        sampling(address, sequence_length),
+    )
+    .unwrap()
 }
 
 /// Chunk `index` of one long episode; numbers are the client's business.

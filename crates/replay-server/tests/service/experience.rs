@@ -40,7 +40,9 @@ fn what_is_acknowledged_is_sampled_byte_for_byte() {
         }
         assert_eq!(learner.waiting(), None);
 
-        let mut client = isodream_rpc::replay_client(&server.address).unwrap();
+        let mut client = isodream_rpc::Dialer::default()
+            .replay(&server.address)
+            .unwrap();
         let status = client
             .status(ReplayStatusRequest {})
             .await
@@ -121,7 +123,7 @@ impl Drop for CloseOnDrop<'_> {
 }
 
 pub(crate) async fn inserted_steps(address: &str) -> u64 {
-    let mut client = isodream_rpc::replay_client(address).unwrap();
+    let mut client = isodream_rpc::Dialer::default().replay(address).unwrap();
     client
         .status(ReplayStatusRequest {})
         .await
@@ -209,7 +211,7 @@ fn pretraining_does_not_count() {
         actor.send(chunk(0)).await.unwrap();
         let mut options = sampling(&server.address, 10);
         options.unlimited_sequences = 9;
-        let mut learner = SampleClient::start(options).unwrap();
+        let mut learner = SampleClient::start(&isodream_rpc::Dialer::default(), options).unwrap();
         for _ in 0..9 {
             assert_eq!(learner.next().await.unwrap().sampled_steps, 0);
         }

@@ -69,7 +69,7 @@ fn a_full_disk_holds_inserts_until_there_is_room_and_sampling_goes_on() {
         for _ in 0..20 {
             tokio::time::timeout(DEADLINE, learner.next()).await.unwrap().unwrap();
         }
-        let status = isodream_rpc::replay_client(&server.address)
+        let status = isodream_rpc::Dialer::default().replay(&server.address)
             .unwrap()
             .status(ReplayStatusRequest {})
             .await
@@ -78,7 +78,7 @@ fn a_full_disk_holds_inserts_until_there_is_room_and_sampling_goes_on() {
         assert!(status.insert_waiting.contains("no space"), "{status:?}");
 
         // A newcomer is no worse off.
-        let newcomer = AppendClient::start(AppendOptions {
+        let newcomer = AppendClient::start(&isodream_rpc::Dialer::default(), AppendOptions {
             actor_id: "newcomer".into(),
             ..appending(&server.address, 1, 1)
         })

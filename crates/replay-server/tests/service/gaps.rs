@@ -23,10 +23,13 @@ fn allowed(inserted: u64) -> u64 {
 }
 
 fn learner(server: &Server, sampled_steps: &BTreeMap<String, u64>) -> SampleClient {
-    SampleClient::start(SampleOptions {
-        sampled_steps: sampled_steps.clone(),
-        ..sampling(&server.address, LENGTH)
-    })
+    SampleClient::start(
+        &isodream_rpc::Dialer::default(),
+        SampleOptions {
+            sampled_steps: sampled_steps.clone(),
+            ..sampling(&server.address, LENGTH)
+        },
+    )
     .unwrap()
 }
 

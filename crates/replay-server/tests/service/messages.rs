@@ -38,7 +38,8 @@ fn numbered() -> Chunk {
 /// How an append stream with these requests ends.
 async fn append(server: &Server, kinds: Vec<Option<Kind>>) -> Status {
     let requests = kinds.into_iter().map(|kind| AppendRequest { kind });
-    let mut client = isodream_rpc::replay_client(&server.address)
+    let mut client = isodream_rpc::Dialer::default()
+        .replay(&server.address)
         .unwrap()
         .max_encoding_message_size(usize::MAX);
     let replies = client.append(tokio_stream::iter(requests)).await;
@@ -55,7 +56,9 @@ async fn sample(server: &Server, kinds: Vec<sample_request::Kind>) -> Status {
         let request = SampleRequest { kind: Some(kind) };
         requests.try_send(request).unwrap();
     }
-    let mut client = isodream_rpc::replay_client(&server.address).unwrap();
+    let mut client = isodream_rpc::Dialer::default()
+        .replay(&server.address)
+        .unwrap();
     match client.sample(ReceiverStream::new(outbound)).await {
         Ok(replies) => end(replies.into_inner()).await,
         Err(status) => status,
@@ -195,7 +198,11 @@ fn bytes_that_are_no_message_are_refused() {
             chunks: vec![numbered()],
             ..SampleReply::default()
         };
-        let mut grpc = tonic::client::Grpc::new(isodream_rpc::channel(&server.address).unwrap());
+        let mut grpc = tonic::client::Grpc::new(
+            isodream_rpc::Dialer::default()
+                .wire(&server.address)
+                .unwrap(),
+        );
         grpc.ready().await.unwrap();
         let path = PathAndQuery::from_static("/isodream.v1.ReplayService/Append");
         let codec = ProstCodec::<SampleReply, AppendReply>::default();
@@ -215,7 +222,9 @@ fn compressed_messages_are_refused_unread() {
         let mut request = Request::new(tokio_stream::iter([AppendRequest { kind }]));
         let encoding = "gzip".parse().unwrap();
         request.metadata_mut().insert("grpc-encoding", encoding);
-        let mut client = isodream_rpc::replay_client(&server.address).unwrap();
+        let mut client = isodream_rpc::Dialer::default()
+            .replay(&server.address)
+            .unwrap();
         let status = client.append(request).await.map(|_| ()).unwrap_err();
         assert_eq!(status.code(), Code::Unimplemented);
         refused(&status, "gzip");
@@ -240,7 +249,9 @@ fn credits_are_capped() {
 #[test]
 fn streams_that_say_nothing_keep_nobody_out() {
     outlived(async |server| {
-        let client = isodream_rpc::replay_client(&server.address).unwrap();
+        let client = isodream_rpc::Dialer::default()
+            .replay(&server.address)
+            .unwrap();
         let mut silent = Vec::new();
         for _ in 0..150 {
             let (requests, outbound) = tokio::sync::mpsc::channel(1);

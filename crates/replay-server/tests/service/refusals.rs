@@ -20,11 +20,14 @@ fn another_environment_is_refused_by_name() {
         first.send(chunk(0)).await.unwrap();
         first.flush(DEADLINE).await.unwrap();
 
-        let other = AppendClient::start(AppendOptions {
-            identity: identity("walker/walk"),
-            actor_id: "actor-1".into(),
-            ..appending(&server.address, 1, 1)
-        })
+        let other = AppendClient::start(
+            &isodream_rpc::Dialer::default(),
+            AppendOptions {
+                identity: identity("walker/walk"),
+                actor_id: "actor-1".into(),
+                ..appending(&server.address, 1, 1)
+            },
+        )
         .unwrap();
         other.send(chunk(0)).await.unwrap();
         // The spool is full and never empties: the refusal has to reach the waiting sender.
@@ -43,7 +46,7 @@ fn another_environment_is_refused_by_name() {
 
         let mut options = sampling(&server.address, 5);
         options.identity = identity("walker/walk");
-        let mut learner = SampleClient::start(options).unwrap();
+        let mut learner = SampleClient::start(&isodream_rpc::Dialer::default(), options).unwrap();
         let error = tokio::time::timeout(DEADLINE, learner.next())
             .await
             .unwrap()
@@ -163,7 +166,9 @@ fn a_gap_is_answered_with_the_expected_number() {
         };
         let kinds = [Kind::Hello(hello), numbered(0), numbered(1), numbered(5)];
         let requests = tokio_stream::iter(kinds.map(|kind| AppendRequest { kind: Some(kind) }));
-        let mut client = isodream_rpc::replay_client(&server.address).unwrap();
+        let mut client = isodream_rpc::Dialer::default()
+            .replay(&server.address)
+            .unwrap();
         let mut replies = client.append(requests).await.unwrap().into_inner();
         let mut durable_seq = 0;
         let status = loop {
@@ -186,7 +191,9 @@ fn a_stream_without_a_hello_is_refused() {
     let server = Server::start(folder.path(), NO_LIMIT);
     let runtime = tokio::runtime::Runtime::new().unwrap();
     runtime.block_on(async {
-        let mut client = isodream_rpc::replay_client(&server.address).unwrap();
+        let mut client = isodream_rpc::Dialer::default()
+            .replay(&server.address)
+            .unwrap();
         let kind = Some(Kind::Chunk(chunk(0).into()));
         let status = client
             .append(tokio_stream::iter([AppendRequest { kind }]))
@@ -264,10 +271,13 @@ fn a_folder_in_use_is_named() {
         store: isodream_replay::StoreOptions::default(),
         limiter: NO_LIMIT,
         tables: Vec::new(),
+        door: isodream_rpc::Door::default(),
     };
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let error = runtime.block_on(async {
-        let listener = isodream_rpc::bind("127.0.0.1:0").await.unwrap();
+        let listener = isodream_rpc::bind("127.0.0.1:0", &isodream_rpc::Door::default())
+            .await
+            .unwrap();
         isodream_replay_server::serve(
             options,
             listener,

@@ -49,7 +49,7 @@ fn an_actor_moves_to_the_next_server_and_no_step_is_lost_or_stored_twice() {
         let mut options = appending("", 1, 8);
         options.addresses = addresses.to_vec();
         options.failover_after = Duration::from_millis(300);
-        AppendClient::start(options).unwrap()
+        AppendClient::start(&isodream_rpc::Dialer::default(), options).unwrap()
     });
     runtime.block_on(async {
         actor.send(chunk(0)).await.unwrap();
@@ -119,7 +119,7 @@ fn a_learner_draws_from_all_servers_and_from_those_that_are_left() {
             .map(|server| server.address.clone())
             .collect();
         options.prefetch = 50;
-        let mut learner = SampleClient::start(options).unwrap();
+        let mut learner = SampleClient::start(&isodream_rpc::Dialer::default(), options).unwrap();
         until("both servers are known", || {
             (learner.watch().inserted_steps() == 400).then_some(())
         })
@@ -178,7 +178,7 @@ fn a_server_whose_limiter_waits_holds_nobody_up() {
             .iter()
             .map(|server| server.address.clone())
             .collect();
-        let mut learner = SampleClient::start(options).unwrap();
+        let mut learner = SampleClient::start(&isodream_rpc::Dialer::default(), options).unwrap();
         let mut counts = BTreeMap::<_, u64>::new();
         for _ in 0..300 {
             let next = tokio::time::timeout(DEADLINE, learner.next())

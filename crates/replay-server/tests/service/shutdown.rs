@@ -17,7 +17,7 @@ fn everything_stored_is_acknowledged_before_the_stream_ends() {
     let address = server.address.clone();
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let acknowledged = runtime.block_on(async {
-        let mut health = HealthClient::new(isodream_rpc::channel(&address).unwrap());
+        let mut health = HealthClient::new(isodream_rpc::Dialer::default().wire(&address).unwrap());
         let service = "isodream.v1.ReplayService".to_owned();
         let mut watch = health
             .watch(HealthCheckRequest { service })
@@ -37,7 +37,7 @@ fn everything_stored_is_acknowledged_before_the_stream_ends() {
         };
         let kind = Some(Kind::Hello(hello));
         requests.send(AppendRequest { kind }).await.unwrap();
-        let mut client = isodream_rpc::replay_client(&address).unwrap();
+        let mut client = isodream_rpc::Dialer::default().replay(&address).unwrap();
         let append = client.append(ReceiverStream::new(outbound));
         let mut replies = append.await.unwrap().into_inner();
         // Chunks for as long as the server takes them.

@@ -8,7 +8,7 @@ use isodream_rpc::{PriorityUpdate, RpcError, SampleClient};
 fn learner(server: &Server, table: &str, length: u32) -> SampleClient {
     let mut options = sampling(&server.address, length);
     options.table = table.into();
-    SampleClient::start(options).unwrap()
+    SampleClient::start(&isodream_rpc::Dialer::default(), options).unwrap()
 }
 
 async fn insert(server: &Server, chunks: u64) {
@@ -20,7 +20,9 @@ async fn insert(server: &Server, chunks: u64) {
 }
 
 async fn status(server: &Server) -> ReplayStatus {
-    let mut client = isodream_rpc::replay_client(&server.address).unwrap();
+    let mut client = isodream_rpc::Dialer::default()
+        .replay(&server.address)
+        .unwrap();
     let status = client.status(ReplayStatusRequest {}).await;
     status.unwrap().into_inner()
 }

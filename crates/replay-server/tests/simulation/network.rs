@@ -9,7 +9,7 @@ use hyper_util::rt::TokioIo;
 use isodream_rpc::{Network, Resolving};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio_stream::Stream;
-use tonic::transport::server::Connected;
+use tonic::transport::server::{Connected, TcpConnectInfo};
 use tonic::transport::{Channel, Endpoint, Uri};
 use turmoil::net::{TcpListener, TcpStream};
 
@@ -51,9 +51,14 @@ pub(crate) fn connections(listener: TcpListener) -> impl Stream<Item = io::Resul
 pub(crate) struct Accepted(TcpStream);
 
 impl Connected for Accepted {
-    type ConnectInfo = ();
+    type ConnectInfo = TcpConnectInfo;
 
-    fn connect_info(&self) {}
+    fn connect_info(&self) -> TcpConnectInfo {
+        TcpConnectInfo {
+            local_addr: self.0.local_addr().ok(),
+            remote_addr: self.0.peer_addr().ok(),
+        }
+    }
 }
 
 impl AsyncRead for Accepted {

@@ -8,7 +8,7 @@ use isodream_core::{EnvSpec, ImageShape};
 use isodream_proto::Identity;
 use isodream_replay::{Capacity, LimiterOptions, Selector, StoreOptions, Table};
 use isodream_replay_server::{ServedTable, ServerOptions, serve_connections};
-use isodream_rpc::{AppendClient, AppendOptions, SampleClient, SampleOptions};
+use isodream_rpc::{AppendClient, AppendOptions, Dialer, Door, SampleClient, SampleOptions};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio_util::sync::CancellationToken;
@@ -67,6 +67,7 @@ pub(crate) async fn server(folder: PathBuf) -> Ended {
                 table: Table::new("train", Selector::Episodes),
                 limited: true,
             }],
+            door: Door::default(),
         };
         let never = CancellationToken::new();
         let served = serve_connections(options, connections(listener), never).await;
@@ -90,7 +91,7 @@ fn append_client(actor: usize, epoch: u64) -> AppendClient {
         spool_bytes: usize::MAX,
         failover_after: Duration::from_secs(3),
     };
-    AppendClient::start_over(Arc::new(Simulated), options).expect("valid addresses")
+    AppendClient::start(&Dialer::over(Arc::new(Simulated)), options).expect("valid addresses")
 }
 
 /// Sends until it is told to stop, then until everything is durable. Now and then its successor starts while
@@ -164,7 +165,7 @@ pub(crate) async fn learner(seed: u64, shared: Shared) -> Ended {
         sampled_steps,
         unlimited_sequences: 0,
     };
-    let mut client = SampleClient::start_over(Arc::new(Simulated), options)?;
+    let mut client = SampleClient::start(&Dialer::over(Arc::new(Simulated)), options)?;
     loop {
         let sequence = client.next().await?;
         record::check_sequence(&sequence);

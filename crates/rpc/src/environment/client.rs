@@ -12,7 +12,7 @@ use isodream_proto::v1::{EnvironmentReset, EnvironmentRow, EnvironmentStep};
 
 use super::convert;
 use super::link::Link;
-use crate::reconnect_delays;
+use crate::{Dialer, reconnect_delays};
 
 /// How to drive environments in another process.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -49,6 +49,7 @@ pub struct RemoteEnvironment {
 
 /// What the environments of one process share.
 struct Peer {
+    dialer: Dialer,
     address: String,
     options: RemoteOptions,
     spec: EnvSpec,
@@ -61,8 +62,15 @@ impl RemoteEnvironment {
     ///
     /// # Errors
     /// [`EnvError::Remote`], as [`connect_many`](Self::connect_many).
-    pub fn connect(address: &str, options: RemoteOptions) -> Result<Self, EnvError> {
-        Ok(Self::new(Arc::new(Peer::connect(address, 1, options)?), 0))
+    pub fn connect(
+        dialer: &Dialer,
+        address: &str,
+        options: RemoteOptions,
+    ) -> Result<Self, EnvError> {
+        Ok(Self::new(
+            Arc::new(Peer::connect(dialer, address, 1, options)?),
+            0,
+        ))
     }
 
     /// `count` environments of the process at `address` (`host:port`), over one connection. They may be stepped
@@ -72,11 +80,12 @@ impl RemoteEnvironment {
     /// [`EnvError::Remote`] if nobody answers in time, if the versions of the protocol differ, if fewer are free
     /// ([`RemoteFault::Lost`]: they may be later), or if what is offered makes no sense.
     pub fn connect_many(
+        dialer: &Dialer,
         address: &str,
         count: u32,
         options: RemoteOptions,
     ) -> Result<Vec<Self>, EnvError> {
-        let peer = Arc::new(Peer::connect(address, count, options)?);
+        let peer = Arc::new(Peer::connect(dialer, address, count, options)?);
         Ok((0..count)
             .map(|index| Self::new(peer.clone(), index))
             .collect())
@@ -86,8 +95,12 @@ impl RemoteEnvironment {
     ///
     /// # Errors
     /// As [`connect_many`](Self::connect_many).
-    pub fn offered(address: &str, options: RemoteOptions) -> Result<EnvSpec, EnvError> {
-        Ok(Peer::connect(address, 0, options)?.spec)
+    pub fn offered(
+        dialer: &Dialer,
+        address: &str,
+        options: RemoteOptions,
+    ) -> Result<EnvSpec, EnvError> {
+        Ok(Peer::connect(dialer, address, 0, options)?.spec)
     }
 
     fn new(peer: Arc<Peer>, index: u32) -> Self {
@@ -171,10 +184,16 @@ impl Environment for RemoteEnvironment {
 }
 
 impl Peer {
-    fn connect(address: &str, environments: u32, options: RemoteOptions) -> Result<Self, EnvError> {
-        let link = Link::open(address, environments, options);
+    fn connect(
+        dialer: &Dialer,
+        address: &str,
+        environments: u32,
+        options: RemoteOptions,
+    ) -> Result<Self, EnvError> {
+        let link = Link::open(dialer, address, environments, options);
         let link = link.map_err(|fault| remote(address, fault))?;
         Ok(Self {
+            dialer: dialer.clone(),
             address: address.to_owned(),
             options,
             spec: link.spec.clone(),
@@ -209,7 +228,8 @@ impl Peer {
                 deadline: deadline.saturating_sub(started.elapsed()),
                 ..self.options
             };
-            let fault = match Link::open(&self.address, self.environments, options) {
+            let opened = Link::open(&self.dialer, &self.address, self.environments, options);
+            let fault = match opened {
                 Err(fault @ RemoteFault::Lost(_)) => fault,
                 other => return other,
             };

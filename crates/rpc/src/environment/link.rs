@@ -11,7 +11,6 @@ use isodream_proto::v1::environment_command::Kind as Command;
 use isodream_proto::v1::environment_reply::Kind as Reply;
 use isodream_proto::v1::environment_request::Kind;
 use isodream_proto::v1::environment_result::Kind as Outcome;
-use isodream_proto::v1::environment_service_client::EnvironmentServiceClient;
 use isodream_proto::v1::{
     EnvironmentBatch, EnvironmentCommand, EnvironmentHello, EnvironmentReply, EnvironmentRequest,
     EnvironmentResults, EnvironmentRow, EnvironmentWelcome,
@@ -24,10 +23,8 @@ use tonic::{Status, Streaming};
 
 use super::RemoteOptions;
 use super::convert;
-use crate::channel::channel;
 use crate::error::words;
-use crate::is_refusal;
-use crate::limits::MAX_MESSAGE_BYTES;
+use crate::{Dialer, is_refusal};
 
 /// One stream, driven by a thread with a runtime of its own: environments are synchronous, and may be used
 /// inside and outside of other runtimes.
@@ -51,6 +48,7 @@ struct Waiting {
 impl Link {
     /// Connects, and has `environments` reserved.
     pub(super) fn open(
+        dialer: &Dialer,
         address: &str,
         environments: u32,
         options: RemoteOptions,
@@ -71,6 +69,7 @@ impl Link {
         };
         let _ = requests.try_send(request(Kind::Hello(hello)));
         let driver = Driver {
+            dialer: dialer.clone(),
             address: address.to_owned(),
             outbound,
             waiting: waiting.clone(),
@@ -180,6 +179,7 @@ impl Link {
 
 /// What the thread works on.
 struct Driver {
+    dialer: Dialer,
     address: String,
     outbound: mpsc::Receiver<EnvironmentRequest>,
     waiting: Arc<Mutex<Waiting>>,
@@ -191,13 +191,10 @@ impl Driver {
         self,
         greeted: &SyncSender<Result<EnvironmentWelcome, RemoteFault>>,
     ) -> RemoteFault {
-        let channel = match channel(&self.address) {
-            Ok(channel) => channel,
+        let mut client = match self.dialer.environment(&self.address) {
+            Ok(client) => client,
             Err(error) => return RemoteFault::Refused(error.to_string()),
         };
-        let mut client = EnvironmentServiceClient::new(channel)
-            .max_decoding_message_size(MAX_MESSAGE_BYTES)
-            .max_encoding_message_size(MAX_MESSAGE_BYTES);
         let mut replies = match client.run(ReceiverStream::new(self.outbound)).await {
             Ok(replies) => replies.into_inner(),
             Err(status) => return fault(&status),

@@ -7,7 +7,7 @@ use isodream_core::config::EnvConfig;
 use isodream_envs::{EnvError, Environment, RemoteFault, conform, conformed_spec};
 
 use super::{RemoteEnvironment, RemoteOptions};
-use crate::reconnect_delays;
+use crate::{Dialer, reconnect_delays};
 
 /// How long a process that does not answer yet, or is driven by others, is waited for.
 pub const ENVIRONMENT_PATIENCE: Duration = Duration::from_secs(30);
@@ -21,8 +21,11 @@ pub fn remote_address(id: &str) -> Option<&str> {
 ///
 /// # Errors
 /// As [`open_environments`].
-pub fn open_environment(config: &EnvConfig) -> Result<Box<dyn Environment>, EnvError> {
-    let opened = open_environments(config, 1)?.pop();
+pub fn open_environment(
+    dialer: &Dialer,
+    config: &EnvConfig,
+) -> Result<Box<dyn Environment>, EnvError> {
+    let opened = open_environments(dialer, config, 1)?.pop();
     opened.ok_or(EnvError::EmptyVector)
 }
 
@@ -32,6 +35,7 @@ pub fn open_environment(config: &EnvConfig) -> Result<Box<dyn Environment>, EnvE
 /// # Errors
 /// [`EnvError`] of `isodream_envs::make`, of [`RemoteEnvironment::connect_many`] and of [`conform`].
 pub fn open_environments(
+    dialer: &Dialer,
     config: &EnvConfig,
     count: usize,
 ) -> Result<Vec<Box<dyn Environment>>, EnvError> {
@@ -39,7 +43,7 @@ pub fn open_environments(
         return (0..count).map(|_| isodream_envs::make(config)).collect();
     };
     let remote = patiently(ENVIRONMENT_PATIENCE, || {
-        RemoteEnvironment::connect_many(address, count as u32, RemoteOptions::default())
+        RemoteEnvironment::connect_many(dialer, address, count as u32, RemoteOptions::default())
     })?;
     remote
         .into_iter()
@@ -52,12 +56,16 @@ pub fn open_environments(
 ///
 /// # Errors
 /// As [`open_environments`].
-pub fn environment_spec(config: &EnvConfig, patience: Duration) -> Result<EnvSpec, EnvError> {
+pub fn environment_spec(
+    dialer: &Dialer,
+    config: &EnvConfig,
+    patience: Duration,
+) -> Result<EnvSpec, EnvError> {
     let Some(address) = remote_address(&config.id) else {
         return isodream_envs::spec(config);
     };
     let offered = patiently(patience, || {
-        RemoteEnvironment::offered(address, RemoteOptions::default())
+        RemoteEnvironment::offered(dialer, address, RemoteOptions::default())
     })?;
     conformed_spec(&offered, config)
 }

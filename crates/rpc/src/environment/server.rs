@@ -20,7 +20,7 @@ use tonic::{Request, Response, Status, Streaming};
 use super::session::Session;
 use super::stock::Stock;
 use crate::limits::{HELLO_TIMEOUT, MAX_MESSAGE_BYTES};
-use crate::{RpcError, ServiceError};
+use crate::{Door, RpcError, ServiceError};
 
 /// Environments that are alike, each for one client at a time.
 pub struct EnvironmentServer {
@@ -54,16 +54,17 @@ impl EnvironmentServer {
         })
     }
 
-    /// Serves on `listener` until `shutdown` is cancelled, beside a health service.
+    /// Serves on `listener` behind `door` until `shutdown` is cancelled, beside a health service.
     ///
     /// # Errors
-    /// [`RpcError::Serve`] where the server fails.
+    /// [`RpcError::Serve`] where the server fails, [`RpcError::Tls`] where the door's certificates make no sense.
     pub async fn serve(
         self,
         listener: TcpListener,
+        door: Door,
         shutdown: CancellationToken,
     ) -> Result<(), RpcError> {
-        let router = crate::server()
+        let router = crate::server(&door)?
             .add_service(crate::serving::<EnvironmentServiceServer<Self>>().await)
             .add_service(self.service());
         crate::serve(router, listener, shutdown).await

@@ -34,7 +34,12 @@ fn a_remote_environment_is_its_original() {
         segmentation: true,
         ..options(PATIENT)
     };
-    let mut remote = RemoteEnvironment::connect(&served.address, with_classes).unwrap();
+    let mut remote = RemoteEnvironment::connect(
+        &isodream_rpc::Dialer::default(),
+        &served.address,
+        with_classes,
+    )
+    .unwrap();
     assert_eq!(remote.spec(), local.spec());
     assert_eq!(remote.step(&[0.0, 1.0]), Err(EnvError::NotReset));
     for seed in [3, 4] {
@@ -66,7 +71,13 @@ fn a_batch_of_remote_environments_runs_over_one_connection() {
     };
     let make = || isodream_envs::make(&config).unwrap();
     let served = Served::environments((0..3).map(|_| make()).collect());
-    let remote = RemoteEnvironment::connect_many(&served.address, 3, options(PATIENT)).unwrap();
+    let remote = RemoteEnvironment::connect_many(
+        &isodream_rpc::Dialer::default(),
+        &served.address,
+        3,
+        options(PATIENT),
+    )
+    .unwrap();
     let boxed = remote
         .into_iter()
         .map(|env| Box::new(env) as Box<dyn Environment>);
@@ -184,9 +195,10 @@ fn a_server_that_changed_its_spec_is_refused() {
 fn nobody_there_and_impossible_addresses_are_named() {
     let free = Served::environments(vec![World::boxed(Act::Nothing)]).kill();
     for (address, words) in [(free.as_str(), "connection lost"), ("nowhere", "host:port")] {
-        let error = RemoteEnvironment::connect(address, options(PATIENT))
-            .err()
-            .unwrap();
+        let error =
+            RemoteEnvironment::connect(&isodream_rpc::Dialer::default(), address, options(PATIENT))
+                .err()
+                .unwrap();
         assert!(error.to_string().contains(words), "{error}");
         assert!(error.to_string().contains(address), "{error}");
     }
@@ -196,7 +208,14 @@ fn nobody_there_and_impossible_addresses_are_named() {
 fn clients_share_a_server_until_nothing_is_free() {
     let worlds = (0..3).map(|_| World::boxed(Act::Nothing)).collect();
     let served = Served::environments(worlds);
-    let connect = |count| RemoteEnvironment::connect_many(&served.address, count, options(PATIENT));
+    let connect = |count| {
+        RemoteEnvironment::connect_many(
+            &isodream_rpc::Dialer::default(),
+            &served.address,
+            count,
+            options(PATIENT),
+        )
+    };
     let mut two = connect(2).unwrap();
     let mut one = served.connect(PATIENT);
     two_steps(&mut two[0]);
@@ -209,7 +228,12 @@ fn clients_share_a_server_until_nothing_is_free() {
     );
     let error = connect(1).err().unwrap().to_string();
     assert!(error.contains("0 of 3 are free"), "{error}");
-    let offered = RemoteEnvironment::offered(&served.address, options(PATIENT)).unwrap();
+    let offered = RemoteEnvironment::offered(
+        &isodream_rpc::Dialer::default(),
+        &served.address,
+        options(PATIENT),
+    )
+    .unwrap();
     assert_eq!(&offered, one.spec(), "a spec needs no environment");
     drop(two);
     let found = (0..200).any(|_| {
@@ -235,9 +259,9 @@ fn a_configuration_opens_environments_elsewhere_as_it_asks_for_them() {
         time_limit: 6,
         ..config.clone()
     };
-    let spec = environment_spec(&wanted, PATIENT).unwrap();
+    let spec = environment_spec(&isodream_rpc::Dialer::default(), &wanted, PATIENT).unwrap();
     assert_eq!((spec.id.as_str(), spec.action_repeat), ("highway/day", 8));
-    let mut opened = open_environments(&wanted, 2).unwrap();
+    let mut opened = open_environments(&isodream_rpc::Dialer::default(), &wanted, 2).unwrap();
     for env in &mut opened {
         assert_eq!(env.spec(), &spec);
         assert_eq!(env.reset(4).unwrap().image.len(), 32 * 32 * 3);
@@ -250,7 +274,9 @@ fn a_configuration_opens_environments_elsewhere_as_it_asks_for_them() {
         action_repeat: 6,
         ..wanted
     };
-    let error = environment_spec(&odd, PATIENT).unwrap_err().to_string();
+    let error = environment_spec(&isodream_rpc::Dialer::default(), &odd, PATIENT)
+        .unwrap_err()
+        .to_string();
     assert!(error.contains("repeats 4 times"), "{error}");
 }
 

@@ -93,9 +93,13 @@ fn odd_greetings_are_refused_by_name() {
             welcome,
             answer: None,
         });
-        let error = RemoteEnvironment::connect(&served.address, options(SHORT))
-            .err()
-            .unwrap();
+        let error = RemoteEnvironment::connect(
+            &isodream_rpc::Dialer::default(),
+            &served.address,
+            options(SHORT),
+        )
+        .err()
+        .unwrap();
         assert!(error.to_string().contains(words), "{error}");
     }
 }
@@ -131,7 +135,9 @@ fn odd_answers_are_violations_of_the_protocol() {
 }
 
 fn serve_odd(service: OddServer) -> Served {
-    let router = server().add_service(EnvironmentServiceServer::new(service));
+    let router = server(&isodream_rpc::Door::default())
+        .unwrap()
+        .add_service(EnvironmentServiceServer::new(service));
     Served::start("127.0.0.1:0", |listener, shutdown| {
         serve(router, listener, shutdown)
     })

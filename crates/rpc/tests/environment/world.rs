@@ -26,7 +26,7 @@ impl Served {
     pub(crate) fn environments_at(address: &str, environments: Vec<Box<dyn Environment>>) -> Self {
         let service = EnvironmentServer::new(environments, TWO).unwrap();
         Self::start(address, |listener, shutdown| {
-            service.serve(listener, shutdown)
+            service.serve(listener, isodream_rpc::Door::default(), shutdown)
         })
     }
 
@@ -42,7 +42,7 @@ impl Served {
             std::thread::scope(|scope| {
                 // Also called on threads of other runtimes, which may not block on this one.
                 scope
-                    .spawn(|| runtime.block_on(bind(address)))
+                    .spawn(|| runtime.block_on(bind(address, &isodream_rpc::Door::default())))
                     .join()
                     .unwrap()
             })
@@ -67,7 +67,12 @@ impl Served {
     }
 
     pub(crate) fn connect(&self, deadline: Duration) -> RemoteEnvironment {
-        RemoteEnvironment::connect(&self.address, options(deadline)).unwrap()
+        RemoteEnvironment::connect(
+            &isodream_rpc::Dialer::default(),
+            &self.address,
+            options(deadline),
+        )
+        .unwrap()
     }
 }
 

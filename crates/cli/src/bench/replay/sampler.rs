@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use isodream_core::codec::{Decoder, Rows};
-use isodream_rpc::{SampleClient, SampleOptions, SampledSequence};
+use isodream_rpc::{Dialer, SampleClient, SampleOptions, SampledSequence};
 
 use super::part::{Done, Work, answer};
 use super::server::TABLE;
@@ -68,16 +68,19 @@ fn draw(
         asked.recv()?;
         let mut client = {
             let _inside = runtime.enter();
-            SampleClient::start(SampleOptions {
-                addresses: vec![work.address.clone()],
-                table: TABLE.to_owned(),
-                identity: work.identity(&frames::spec(work)?),
-                sequence_length: work.batch_length as u32,
-                seed: 1,
-                prefetch: work.prefetch_batches * work.batch_size,
-                sampled_steps: BTreeMap::new(),
-                unlimited_sequences: 0,
-            })?
+            SampleClient::start(
+                &Dialer::default(),
+                SampleOptions {
+                    addresses: vec![work.address.clone()],
+                    table: TABLE.to_owned(),
+                    identity: work.identity(&frames::spec(work)?),
+                    sequence_length: work.batch_length as u32,
+                    seed: 1,
+                    prefetch: work.prefetch_batches * work.batch_size,
+                    sampled_steps: BTreeMap::new(),
+                    unlimited_sequences: 0,
+                },
+            )?
         };
         loop {
             let sequences: Result<Vec<_>, _> = (0..work.batch_size)

@@ -3,6 +3,7 @@
 use anyhow::Context;
 use isodream_replay::{Capacity, LimiterOptions, Selector, StoreOptions, Table};
 use isodream_replay_server::{ServedTable, ServerOptions, serve};
+use isodream_rpc::Door;
 use serde::{Deserialize, Serialize};
 use tokio_util::sync::CancellationToken;
 
@@ -22,7 +23,7 @@ pub(super) struct Usage {
 
 pub(super) fn run(work: &Work) -> anyhow::Result<()> {
     let runtime = tokio::runtime::Runtime::new()?;
-    let listener = runtime.block_on(isodream_rpc::bind("127.0.0.1:0"))?;
+    let listener = runtime.block_on(isodream_rpc::bind("127.0.0.1:0", &Door::default()))?;
     let address = listener.local_addr()?.to_string();
     let options = ServerOptions {
         folder: work.folder.clone(),
@@ -39,6 +40,7 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
             table: Table::new(TABLE, Selector::Episodes),
             limited: false,
         }],
+        door: Door::default(),
     };
     let shutdown = CancellationToken::new();
     let running = runtime.spawn(serve(options, listener, shutdown.clone()));

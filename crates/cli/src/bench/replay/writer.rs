@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use isodream_core::{Chunk, Steps, codec};
 use isodream_rpc::limits::FAILOVER_AFTER;
-use isodream_rpc::{AppendClient, AppendOptions};
+use isodream_rpc::{AppendClient, AppendOptions, Dialer};
 
 use super::part::{Done, Work, answer};
 use super::{frames, probes};
@@ -17,15 +17,18 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
     let runtime = tokio::runtime::Runtime::new()?;
     let client = {
         let _inside = runtime.enter();
-        AppendClient::start(AppendOptions {
-            addresses: vec![work.address.clone()],
-            identity: work.identity(&frames::spec(work)?),
-            actor_id: "bench".to_owned(),
-            epoch: 1,
-            spool_chunks: work.spool_chunks,
-            spool_bytes: usize::MAX,
-            failover_after: FAILOVER_AFTER,
-        })?
+        AppendClient::start(
+            &Dialer::default(),
+            AppendOptions {
+                addresses: vec![work.address.clone()],
+                identity: work.identity(&frames::spec(work)?),
+                actor_id: "bench".to_owned(),
+                epoch: 1,
+                spool_chunks: work.spool_chunks,
+                spool_bytes: usize::MAX,
+                failover_after: FAILOVER_AFTER,
+            },
+        )?
     };
     let mut sources = episodes.iter().cycle();
     let mut episode_id = 0;

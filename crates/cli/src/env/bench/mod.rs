@@ -14,11 +14,12 @@ use clap::Args;
 #[cfg(feature = "mujoco")]
 use isodream_envs::dmc::parity::Peer;
 use isodream_envs::{RandomDriver, ScriptedDriver, ids};
-use isodream_rpc::remote_address;
+use isodream_rpc::{Role, remote_address};
 use serde::Serialize;
 
 use super::{env_config, open};
 use crate::output::{print, print_result};
+use crate::security::ClientArgs;
 
 /// Simulator steps between two pictures where pictures are not to count.
 const BLIND_REPEAT: u32 = 200;
@@ -48,6 +49,8 @@ pub(crate) struct BenchArgs {
     /// Print JSON instead of a table
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    security: ClientArgs,
 }
 
 /// One environment on one core, and a batch of them on several.
@@ -129,7 +132,7 @@ fn rate(id: &str, repeat: u32, args: &BenchArgs) -> anyhow::Result<f64> {
     let mut config = env_config(id, &args.set)?;
     config.action_repeat = repeat;
     config.time_limit = u32::MAX;
-    let mut env = open(&config)?;
+    let mut env = open(&args.security.dialer(Role::Actor)?, &config)?;
     let mut seed = 0;
     env.reset(seed)?;
     // Random driving soon leaves the road, and resets would be measured.
