@@ -1,9 +1,11 @@
-//! What one types in this repository: `cargo xtask setup | ci | test | fuzz | demo | bench`.
+//! What one types in this repository: `cargo xtask setup | ci | test | fuzz | demo | bench | deploy`.
 //!
 //! Needs neither native libraries nor network to build, because it is what fetches the libraries.
 
 mod ci;
+mod deploy;
 mod deps;
+mod docker;
 mod peer;
 mod run;
 mod setup;
@@ -53,6 +55,9 @@ enum Command {
     /// Measure this project beside others.
     #[command(subcommand)]
     Bench(Bench),
+    /// Run what lies in deploy/ for real.
+    #[command(subcommand)]
+    Deploy(deploy::Deploy),
 }
 
 #[derive(Debug, Subcommand)]
@@ -83,5 +88,6 @@ fn run_command(command: Command) -> Result<()> {
         Command::Fuzz { seconds } => run::fuzz(&root, seconds),
         Command::Demo { args } => run::demo(&root, &args),
         Command::Bench(Bench::Peer(args)) => peer::peer(&root, &args),
+        Command::Deploy(engine) => deploy::deploy(&root, engine),
     }
 }

@@ -1,0 +1,22 @@
+//! `cargo xtask deploy`: what lies in `deploy/` run for real, one engine per command.
+
+mod compose;
+
+use std::path::Path;
+
+use anyhow::Result;
+use clap::Subcommand;
+
+/// An engine that starts the roles on one machine or many.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Deploy {
+    /// deploy/compose with the debug preset: scaled, killed, out of memory, stopped; needs a Docker daemon.
+    Compose(compose::ComposeArgs),
+}
+
+/// Runs the test of one engine.
+pub(crate) fn deploy(root: &Path, engine: Deploy) -> Result<()> {
+    match engine {
+        Deploy::Compose(args) => compose::compose(root, &args),
+    }
+}
