@@ -1,4 +1,4 @@
-//! What one types in this repository: `cargo xtask setup | ci | test | fuzz | demo | bench | deploy`.
+//! What one types in this repository: `cargo xtask setup | ci | test | fuzz | demo | bench | image | deploy`.
 //!
 //! Needs neither native libraries nor network to build, because it is what fetches the libraries.
 
@@ -6,6 +6,7 @@ mod ci;
 mod deploy;
 mod deps;
 mod docker;
+mod image;
 mod peer;
 mod run;
 mod setup;
@@ -55,6 +56,8 @@ enum Command {
     /// Measure this project beside others.
     #[command(subcommand)]
     Bench(Bench),
+    /// Build the container images of the roles.
+    Image(image::ImageArgs),
     /// Run what lies in deploy/ for real.
     #[command(subcommand)]
     Deploy(deploy::Deploy),
@@ -88,6 +91,7 @@ fn run_command(command: Command) -> Result<()> {
         Command::Fuzz { seconds } => run::fuzz(&root, seconds),
         Command::Demo { args } => run::demo(&root, &args),
         Command::Bench(Bench::Peer(args)) => peer::peer(&root, &args),
+        Command::Image(args) => image::image(&root, &args),
         Command::Deploy(engine) => deploy::deploy(&root, engine),
     }
 }

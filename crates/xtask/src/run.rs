@@ -80,7 +80,7 @@ pub(crate) fn demo(root: &Path, args: &[String]) -> Result<()> {
 }
 
 /// Where cargo builds, wherever that was configured.
-fn target_dir(root: &Path) -> Result<PathBuf> {
+pub(crate) fn target_dir(root: &Path) -> Result<PathBuf> {
     let args = ["metadata", "--no-deps", "--format-version", "1", "--locked"];
     let metadata: Value = serde_json::from_slice(&output(&mut cargo(root, args))?)?;
     let target = metadata["target_directory"]
