@@ -1,8 +1,8 @@
-//! Docker as this machine has it: whether it answers, and what to do where it does not.
+//! Docker as this machine has it.
 
-use std::process::Command;
+use std::process::{Command, Stdio};
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 
 use crate::stage::answers;
 
@@ -20,4 +20,25 @@ pub(crate) fn daemon() -> Result<()> {
         );
     }
     Ok(())
+}
+
+/// What `docker args` prints.
+pub(crate) fn docker(args: &[&str]) -> Result<String> {
+    quiet(Command::new("docker").args(args))
+}
+
+/// What `command` prints on stdout; what it says on stderr is told where it fails only.
+pub(crate) fn quiet(command: &mut Command) -> Result<String> {
+    let output = command
+        .stdin(Stdio::null())
+        .output()
+        .with_context(|| format!("cannot start {}", command.get_program().display()))?;
+    if !output.status.success() {
+        bail!(
+            "{command:?} ended with {}: {}",
+            output.status,
+            String::from_utf8_lossy(&output.stderr).trim()
+        );
+    }
+    Ok(String::from_utf8(output.stdout)?)
 }

@@ -10,34 +10,48 @@ use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 
 use self::binaries::Binaries;
-use crate::docker;
-use crate::stage::{output, run, stage};
+use crate::docker::{self, docker, quiet};
+use crate::stage::{run, stage};
 
 /// Options of `cargo xtask image`.
 #[derive(Debug, Args)]
 pub(crate) struct ImageArgs {
+    /// One image instead of all.
+    #[arg(long, value_name = "IMAGE")]
+    only: Option<Image>,
+    #[command(flatten)]
+    build: BuildArgs,
+}
+
+/// What images are made of, and what they are called.
+#[derive(Debug, Args)]
+pub(crate) struct BuildArgs {
     /// The image that all others begin with; by default that of deploy/docker/Dockerfile.
     #[arg(long, value_name = "TAG", conflicts_with = "local_base")]
     base: Option<String>,
     /// Make the base from Debian's packages first (deploy/docker/base.sh; the first time as root).
     #[arg(long)]
     local_base: bool,
-    /// One image instead of all.
-    #[arg(long, value_name = "IMAGE")]
-    only: Option<Image>,
     /// What the images' names begin with: a registry's address goes here.
     #[arg(long, default_value = "isodream-")]
-    prefix: String,
+    pub(crate) prefix: String,
     /// The images' tag.
     #[arg(long, default_value = "latest")]
-    tag: String,
+    pub(crate) tag: String,
     #[command(flatten)]
     binaries: Binaries,
 }
 
+impl BuildArgs {
+    /// The whole name of an image.
+    pub(crate) fn tag(&self, image: Image) -> String {
+        format!("{}{}:{}", self.prefix, image.name(), self.tag)
+    }
+}
+
 /// A target of the Dockerfile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Image {
+pub(crate) enum Image {
     ReplayServer,
     Actor,
     Learner,
@@ -57,19 +71,26 @@ impl Image {
     }
 }
 
-/// Builds the images, starts each once, and says how large they are.
+/// Builds what was asked for.
 pub(crate) fn image(root: &Path, args: &ImageArgs) -> Result<()> {
+    match args.only {
+        Some(image) => build_some(root, &args.build, &[image]),
+        None => build_all(root, &args.build),
+    }
+}
+
+/// Builds all images, starts each once, and says how large they are.
+pub(crate) fn build_all(root: &Path, args: &BuildArgs) -> Result<()> {
+    build_some(root, args, Image::value_variants())
+}
+
+fn build_some(root: &Path, args: &BuildArgs, wanted: &[Image]) -> Result<()> {
     docker::daemon()?;
     let base = if args.local_base {
         Some(stage("base image", || local_base(root))?)
     } else {
         args.base.clone()
     };
-    let wanted: Vec<Image> = match args.only {
-        Some(image) => vec![image],
-        None => Image::value_variants().to_vec(),
-    };
-    let mut built = Vec::new();
     for needs_torch in [false, true] {
         let images: Vec<_> = wanted
             .iter()
@@ -83,17 +104,17 @@ pub(crate) fn image(root: &Path, args: &ImageArgs) -> Result<()> {
             context::make(root, &binary, needs_torch)
         })?;
         for image in images {
-            let tag = format!("{}{}:{}", args.prefix, image.name(), args.tag);
+            let tag = args.tag(*image);
             stage(&tag, || {
                 build(root, &folder, *image, base.as_deref(), &tag)?;
                 starts(&tag)
             })?;
-            built.push(tag);
         }
     }
     eprintln!("{:<44} {:>8}", "image", "MB");
-    for tag in &built {
-        eprintln!("{tag:<44} {:>8.1}", size(tag)? as f64 / 1e6);
+    for image in wanted {
+        let tag = args.tag(*image);
+        eprintln!("{tag:<44} {:>8.1}", size(&tag)? as f64 / 1e6);
     }
     Ok(())
 }
@@ -113,24 +134,21 @@ fn build(root: &Path, context: &Path, image: Image, base: Option<&str>, tag: &st
     if let Some(base) = base {
         command.args(["--build-arg", &format!("BASE={base}")]);
     }
-    output(command.arg(context)).map(drop)
+    quiet(command.arg(context)).map(drop)
 }
 
 /// Fails where the base lacks a library, or has an older one than the binary was linked with.
 fn starts(tag: &str) -> Result<()> {
-    let args = ["run", "--rm", "--network=none", tag, "--version"];
-    let version = output(Command::new("docker").args(args)).context(
+    let version = docker(&["run", "--rm", "--network=none", tag, "--version"]).context(
         "the image does not start: its base needs libgcc_s, libstdc++ and a glibc not older than this machine's",
     )?;
-    eprint!("xtask: {}", String::from_utf8_lossy(&version));
+    eprint!("xtask: {version}");
     Ok(())
 }
 
 /// Bytes of all layers, the base's included.
 fn size(tag: &str) -> Result<u64> {
-    let args = ["image", "inspect", "--format", "{{.Size}}", tag];
-    let printed = output(Command::new("docker").args(args))?;
-    let printed = String::from_utf8(printed)?;
+    let printed = docker(&["image", "inspect", "--format", "{{.Size}}", tag])?;
     printed
         .trim()
         .parse()
