@@ -4,7 +4,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, bail};
 
-use crate::stage::answers;
+use crate::stage::{answers, line};
 
 /// Fails with the cure where no Docker daemon answers.
 pub(crate) fn daemon() -> Result<()> {
@@ -35,7 +35,8 @@ pub(crate) fn quiet(command: &mut Command) -> Result<String> {
         .with_context(|| format!("cannot start {}", command.get_program().display()))?;
     if !output.status.success() {
         bail!(
-            "{command:?} ended with {}: {}",
+            "{} ended with {}: {}",
+            line(command),
             output.status,
             String::from_utf8_lossy(&output.stderr).trim()
         );

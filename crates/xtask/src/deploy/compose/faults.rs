@@ -26,7 +26,8 @@ pub(super) fn kill(
         // Not `docker kill`: a container that was stopped by hand is not restarted.
         let pid = inspect(id)?.pid();
         ensure!(pid > 1, "{id} has no process");
-        run(Command::new("kill").args(["-9", &pid.to_string()]))
+        run(Command::new("kill").args(["-9", &pid.to_string()]))?;
+        Ok(Instant::now())
     })
 }
 
@@ -41,31 +42,34 @@ pub(super) fn out_of_memory(
     survived(project, watch, service, table, "out of memory", |id| {
         // Ends with an error, because everything in the container ends.
         let _ = docker(&["exec", id, "bash", "-c", HOG]);
+        let ended = Instant::now();
         wait("word from Docker that memory ran out", || {
             let seen = events(project, since, service, "oom")?;
-            Ok((!seen.is_empty()).then_some(()))
+            Ok((!seen.is_empty()).then_some(ended))
         })
     })
 }
 
+/// `fault` says when the process ended.
 fn survived(
     project: &Project,
     watch: &mut Watch<'_>,
     service: &str,
     table: &mut Table,
     what: &str,
-    fault: impl FnOnce(&str) -> Result<()>,
+    fault: impl FnOnce(&str) -> Result<Instant>,
 ) -> Result<()> {
     let id = project.container(service)?;
     let restarts = inspect(&id)?.restarts();
     let before = watch.progress()?;
-    fault(&id)?;
-    let begun = Instant::now();
+    let begun = fault(&id)?;
     wait("the container again", || {
         let container = inspect(&id)?;
         Ok((container.restarts() > restarts && container.is_running()).then_some(()))
     })?;
-    let after = watch.beyond(before)?;
+    // What was still done before the fault came does not count, nor what is done again.
+    let again = watch.progress()?;
+    let after = watch.beyond(before.max(again))?;
     table.add(&format!("{service}: {what}"), begun, Some(before), after);
     Ok(())
 }

@@ -36,7 +36,7 @@ const CONFIGURATION: &str = "[learner]\nenv_frames = 100_000_000\n";
 /// What the roles may use; a process that is to meet its limit must fill it.
 const LIMITS: [(&str, &str); 3] = [
     ("REPLAY_MEMORY", "512m"),
-    ("LEARNER_MEMORY", "2g"),
+    ("LEARNER_MEMORY", "1g"),
     ("ACTOR_MEMORY", "512m"),
 ];
 

@@ -32,19 +32,45 @@ pub(super) struct Progress {
     pub(super) updates: u64,
 }
 
+impl Progress {
+    /// The further of both, in each of its parts.
+    pub(super) fn max(self, other: Self) -> Self {
+        Self {
+            inserted: self.inserted.max(other.inserted),
+            updates: self.updates.max(other.updates),
+        }
+    }
+}
+
 /// Follows a run, and notices if acknowledged steps are gone.
 #[derive(Debug)]
 pub(super) struct Watch<'a> {
     project: &'a Project,
-    /// The most that the replay-server ever acknowledged.
-    pub(super) inserted: u64,
+    acknowledged: Acknowledged,
+}
+
+/// The most steps that a replay-server ever acknowledged.
+#[derive(Debug, Default)]
+struct Acknowledged(u64);
+
+impl Acknowledged {
+    /// Fails where `inserted` is less than there were.
+    fn note(&mut self, inserted: u64) -> Result<()> {
+        ensure!(
+            inserted >= self.0,
+            "acknowledged steps were lost: the replay-server had {} and has {inserted}",
+            self.0
+        );
+        self.0 = inserted;
+        Ok(())
+    }
 }
 
 impl<'a> Watch<'a> {
     pub(super) fn new(project: &'a Project) -> Self {
         Self {
             project,
-            inserted: 0,
+            acknowledged: Acknowledged::default(),
         }
     }
 
@@ -71,12 +97,7 @@ impl<'a> Watch<'a> {
         let Some(inserted) = self.metrics().as_deref().and_then(inserted_steps) else {
             return Ok(None);
         };
-        ensure!(
-            inserted >= self.inserted,
-            "acknowledged steps were lost: the replay-server had {} and has {inserted}",
-            self.inserted
-        );
-        self.inserted = inserted;
+        self.acknowledged.note(inserted)?;
         Ok(self.updates().map(|updates| Progress { inserted, updates }))
     }
 
@@ -151,6 +172,15 @@ fn last_updates(lines: &str) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn fewer_steps_than_before_are_lost_ones() {
+        let mut acknowledged = Acknowledged::default();
+        acknowledged.note(20).unwrap();
+        acknowledged.note(20).unwrap();
+        let error = acknowledged.note(19).unwrap_err().to_string();
+        assert!(error.ends_with("had 20 and has 19"), "{error}");
+    }
 
     #[test]
     fn counts_are_read_from_what_the_servers_show() {
