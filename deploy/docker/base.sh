@@ -9,6 +9,7 @@ set -euo pipefail
 umask 022
 
 # The Debian of this machine, because binaries that are built here ask for its glibc or a newer one.
+# shellcheck source=/dev/null
 suite=$(. /etc/os-release && [ "${ID:-}" = debian ] && echo "${VERSION_CODENAME:-bookworm}" || echo bookworm)
 tag=${1:-isodream-base:local}
 

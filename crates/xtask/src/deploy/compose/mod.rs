@@ -18,7 +18,7 @@ use clap::Args;
 use self::project::{Project, give_to_containers, inspect};
 use self::table::Table;
 use self::watch::{REPLAY_DIR, Watch, has_steps_of, wait};
-use crate::docker::{docker, quiet};
+use crate::docker::{self, docker, quiet};
 use crate::image::{self, BuildArgs, Image};
 use crate::run::target_dir;
 use crate::stage::stage;
@@ -28,6 +28,9 @@ use crate::stage::stage;
 pub(crate) struct ComposeArgs {
     #[command(flatten)]
     images: BuildArgs,
+    /// Take the images of these names as they are, instead of building them.
+    #[arg(long)]
+    built: bool,
 }
 
 /// More than the test will ever make.
@@ -46,7 +49,11 @@ pub(crate) fn compose(root: &Path, args: &ComposeArgs) -> Result<()> {
         fs::metadata("/proc/self").is_ok_and(|process| process.uid() == 0),
         "this test kills processes inside of containers: run it as root, on the machine of the Docker daemon"
     );
-    image::build_all(root, &args.images)?;
+    if args.built {
+        docker::daemon()?;
+    } else {
+        image::build_all(root, &args.images)?;
+    }
     let mut project = prepare(root, &args.images)?;
     let mut table = Table::default();
     let result = survive(root, &project, &mut table);
