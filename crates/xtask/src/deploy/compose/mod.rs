@@ -96,7 +96,7 @@ fn prepare(root: &Path, images: &BuildArgs) -> Result<Project> {
     give_to_containers(&secrets)?;
     let volume = format!("{}:/secrets", path(&secrets));
     let image = images.tag(Image::ReplayServer);
-    let hosts = ["--host=replay", "--host=learner", "--host=localhost"];
+    let hosts = ["--host=replay", "--host=learner"];
     let make = ["run", "--rm", "--network=none", "--volume", &volume, &image];
     docker(&[&make[..], &["secrets", "/secrets"], &hosts].concat())?;
     Ok(project)
@@ -141,18 +141,24 @@ fn survive(root: &Path, project: &Project, table: &mut Table) -> Result<()> {
 /// Neither without a certificate nor without encryption does anybody get an answer.
 fn strangers(project: &Project) -> Result<()> {
     let replay = project.container("replay")?;
-    let ask = |environment: &[&str]| {
+    let ask = |files: &[&str]| {
+        // As one who has nothing but these files.
+        let alone = ["exec", &replay, "env", "--unset=ISODREAM_SECRETS"];
         let ask = ["/usr/local/bin/isodream", "health", "localhost:7001"];
-        docker(&[&["exec"], environment, &[replay.as_str()], &ask].concat())
+        docker(&[&alone[..], &ask, files].concat())
     };
-    ask(&[]).context("the replay-server does not know itself")?;
-    let certificate = ["--env=ISODREAM_TLS_CERT=", "--env=ISODREAM_TLS_KEY="];
+    let authority = "--tls-ca=/run/secrets/ca.pem";
+    ask(&[
+        authority,
+        "--tls-cert=/run/secrets/client.pem",
+        "--tls-key=/run/secrets/client.key",
+    ])
+    .context("a client with a certificate got no answer")?;
     ensure!(
-        ask(&certificate).is_err(),
+        ask(&[authority]).is_err(),
         "a client without a certificate got an answer"
     );
-    let plain = [&certificate[..], &["--env=ISODREAM_TLS_CA="]].concat();
-    ensure!(ask(&plain).is_err(), "an unencrypted client got an answer");
+    ensure!(ask(&[]).is_err(), "an unencrypted client got an answer");
     Ok(())
 }
 
