@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 
+use crate::deploy::kubernetes;
 use crate::deps;
 use crate::stage::{answers, cargo, run, stage};
 
@@ -13,6 +14,8 @@ pub(crate) fn ci(root: &Path) -> Result<()> {
         run(&mut cargo(root, ["fmt", "--all", "--check"]))
     })?;
     stage("dependency rules", || deps::check(root))?;
+    // The commands in the manifests are checked by the tests, which have the binary.
+    stage("Kubernetes manifests", || kubernetes::check(root, None))?;
     // Compiling cargo-deny takes longer than everything here together; our own rules run in any case.
     if answers(&mut cargo(root, ["deny", "--version"])) {
         stage("cargo deny", || {

@@ -7,6 +7,7 @@ use std::process::Command;
 use anyhow::{Context, Result};
 use serde_json::Value;
 
+use crate::deploy::kubernetes;
 use crate::stage::{answers, cargo, output, run, stage, with_native};
 
 /// Runs all tests, or with `args` those that they select.
@@ -18,6 +19,12 @@ pub(crate) fn test(root: &Path, args: &[String]) -> Result<()> {
             ["build", "--workspace", "--bins", "--locked"],
         ))
     })?;
+    if args.is_empty() {
+        let isodream = target_dir(root)?.join("debug/isodream");
+        stage("commands of the Kubernetes manifests", || {
+            kubernetes::check(root, Some(&isodream))
+        })?;
+    }
     let runner: &[&str] = if answers(&mut cargo(root, ["nextest", "--version"])) {
         &["nextest", "run"]
     } else {

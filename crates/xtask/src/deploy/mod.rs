@@ -1,6 +1,7 @@
 //! `cargo xtask deploy`: what lies in `deploy/` run for real, one engine per command.
 
 mod compose;
+pub(crate) mod kubernetes;
 
 use std::path::Path;
 
@@ -12,11 +13,14 @@ use clap::Subcommand;
 pub(crate) enum Deploy {
     /// deploy/compose with the debug preset: scaled, killed, out of memory, stopped; needs a Docker daemon.
     Compose(compose::ComposeArgs),
+    /// deploy/k8s against the schemas of Kubernetes, itself and isodream; needs no cluster.
+    Kubernetes(kubernetes::KubernetesArgs),
 }
 
 /// Runs the test of one engine.
 pub(crate) fn deploy(root: &Path, engine: Deploy) -> Result<()> {
     match engine {
         Deploy::Compose(args) => compose::compose(root, &args),
+        Deploy::Kubernetes(args) => kubernetes::kubernetes(root, &args),
     }
 }
