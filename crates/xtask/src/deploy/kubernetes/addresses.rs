@@ -1,10 +1,8 @@
-//! Where roles listen, whom they are told to connect to, and which files they are told to read.
+//! Where roles listen, and whom they are told to connect to.
 
 use std::collections::BTreeSet;
 
-use serde_json::Value;
-
-use super::objects::{Objects, Workload, env_value, list, name, text, title};
+use super::objects::{Objects, Workload, list, title};
 
 /// A connection that a role is told to make.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -116,62 +114,4 @@ pub(super) fn listening(objects: Objects<'_>) -> Vec<String> {
         }
     }
     found
-}
-
-/// Files and folders in arguments and environment that no volume has. The file system of the image is read-only and
-/// holds nothing that these could mean.
-pub(super) fn files(objects: Objects<'_>) -> Vec<String> {
-    let mut found = Vec::new();
-    for workload in objects.workloads() {
-        let env = list(&workload.container()["env"])
-            .iter()
-            .map(|variable| env_value(variable, objects).to_owned());
-        let flags = workload
-            .args(objects)
-            .into_iter()
-            .filter_map(|arg| Some(arg.split_once('=')?.1.to_owned()));
-        for path in env.chain(flags).filter(|value| value.starts_with('/')) {
-            if !is_mounted(&path, workload, objects) {
-                found.push(format!("{}: no volume has {path}", title(workload.0)));
-            }
-        }
-    }
-    found
-}
-
-fn is_mounted(path: &str, workload: Workload<'_>, objects: Objects<'_>) -> bool {
-    let mount = list(&workload.container()["volumeMounts"])
-        .iter()
-        .find_map(|mount| {
-            let file = path
-                .strip_prefix(text(&mount["mountPath"]))?
-                .strip_prefix('/')?;
-            Some((text(&mount["name"]), file))
-        });
-    let Some((volume_name, file)) = mount else {
-        return false;
-    };
-    let volume = list(&workload.pod()["volumes"])
-        .iter()
-        .find(|volume| volume["name"] == volume_name);
-    // What a volume claim holds is made at run time.
-    let Some(volume) = volume.filter(|volume| volume["persistentVolumeClaim"].is_null()) else {
-        return true;
-    };
-    let sources = list(&volume["projected"]["sources"]).iter().chain([volume]);
-    sources.into_iter().any(|source| {
-        [("ConfigMap", "configMap"), ("Secret", "secret")]
-            .iter()
-            .any(|(kind, field)| holds(&source[field], kind, file, objects))
-    })
-}
-
-/// Whether a source of a volume makes `file`.
-fn holds(source: &Value, kind: &'static str, file: &str, objects: Objects<'_>) -> bool {
-    match source.get("items") {
-        Some(items) => list(items).iter().any(|item| item["path"] == file),
-        None => objects
-            .of_kind(kind)
-            .any(|object| name(object) == text(&source["name"]) && !object["data"][file].is_null()),
-    }
 }

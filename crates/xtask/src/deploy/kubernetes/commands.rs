@@ -9,11 +9,11 @@ use anyhow::{Context, Result};
 use super::objects::{Objects, Workload, list, text, title};
 use crate::stage::with_native;
 
-/// A setting that nothing knows: a role refuses it after it took its arguments and its configuration, and before it
-/// does anything.
-const UNKNOWN: &str = "no_such_section.at_all=1";
+/// A value that is refused after all others have been found good: a role stops at it with its arguments and its
+/// configuration taken, and nothing done.
+const REFUSED: &str = "learner.keep_checkpoints=0";
 /// What a role says to that.
-const REFUSAL: &str = "unknown key `no_such_section";
+const REFUSAL: &str = "learner.keep_checkpoints: must be at least 2";
 /// Where the roles find the configuration.
 const CONFIG: &str = "--config=/etc/isodream/config/run.toml";
 
@@ -81,7 +81,7 @@ impl Isodream<'_> {
         for arg in args.iter_mut().filter(|arg| *arg == CONFIG) {
             *arg = format!("--config={}", config.display());
         }
-        args.extend(["--set".to_owned(), UNKNOWN.to_owned()]);
+        args.extend(["--set".to_owned(), REFUSED.to_owned()]);
         let said = self.says(&args)?;
         Ok((!said.contains(REFUSAL)).then(|| complaint(&args, &said)))
     }

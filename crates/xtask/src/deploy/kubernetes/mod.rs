@@ -4,6 +4,7 @@
 mod addresses;
 mod autoscaling;
 mod commands;
+mod files;
 mod hardening;
 mod network;
 mod objects;
@@ -32,6 +33,8 @@ const SECRETS: &[&str] = &[
     "ca.pem",
     "server.pem",
     "server.key",
+    "client.pem",
+    "client.key",
     "tokens",
     "learner.token",
     "actor.token",
@@ -127,7 +130,7 @@ impl Manifests {
         let flows = addresses::flows(objects, &mut found);
         found.extend(network::problems(objects, &flows));
         found.extend(addresses::listening(objects));
-        found.extend(addresses::files(objects));
+        found.extend(files::problems(objects));
         found.extend(hardening::problems(objects));
         found.extend(storage::problems(objects));
         found.extend(autoscaling::problems(objects, &self.rules, &self.exported));

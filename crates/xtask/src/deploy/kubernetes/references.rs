@@ -1,6 +1,6 @@
 //! What objects name must exist.
 
-use serde_json::{Value, json};
+use serde_json::json;
 
 use super::objects::{Objects, Workload, list, name, selects, text, title};
 
@@ -83,10 +83,20 @@ pub(super) fn problems(objects: Objects<'_>) -> Vec<String> {
 /// Kinds and names of the objects that a workload cannot do without.
 fn named<'a>(workload: Workload<'a>) -> impl Iterator<Item = (&'static str, &'a str)> {
     let pod = workload.pod();
-    let claims = list(&pod["volumes"]).iter().map(|volume| {
+    let volumes = list(&pod["volumes"]).iter().flat_map(|volume| {
+        [
+            (
+                "PersistentVolumeClaim",
+                text(&volume["persistentVolumeClaim"]["claimName"]),
+            ),
+            ("ConfigMap", text(&volume["configMap"]["name"])),
+            ("Secret", text(&volume["secret"]["secretName"])),
+        ]
+    });
+    let variables = list(&workload.container()["env"]).iter().map(|variable| {
         (
-            "PersistentVolumeClaim",
-            text(&volume["persistentVolumeClaim"]["claimName"]),
+            "ConfigMap",
+            text(&variable["valueFrom"]["configMapKeyRef"]["name"]),
         )
     });
     [
@@ -95,54 +105,25 @@ fn named<'a>(workload: Workload<'a>) -> impl Iterator<Item = (&'static str, &'a 
         ("Service", text(&workload.0["spec"]["serviceName"])),
     ]
     .into_iter()
-    .chain(claims)
+    .chain(volumes)
+    .chain(variables)
 }
 
-/// ConfigMaps, Secrets and keys of these that are nowhere.
-fn missing_keys(workload: Workload<'_>, objects: Objects<'_>) -> Vec<String> {
-    let mut missing = Vec::new();
-    let mut want = |kind: &'static str, reference: &Value, name_field: &str, keys: &[&str]| {
-        let wanted = text(&reference[name_field]);
-        match objects.find(kind, wanted) {
-            None => missing.push(format!("{kind} {wanted}")),
-            Some(object) => missing.extend(
-                keys.iter()
-                    .filter(|key| object["data"][**key].is_null())
-                    .map(|key| format!("key {key} in {kind} {}", name(object))),
-            ),
-        }
-    };
-    let items = |source: &Value| -> Vec<String> {
-        list(&source["items"])
-            .iter()
-            .map(|item| text(&item["key"]).to_owned())
-            .collect()
-    };
-    for variable in list(&workload.container()["env"]) {
-        for (kind, field) in [("ConfigMap", "configMapKeyRef"), ("Secret", "secretKeyRef")] {
-            if let Some(reference) = variable["valueFrom"].get(field) {
-                want(kind, reference, "name", &[text(&reference["key"])]);
-            }
-        }
-    }
-    for volume in list(&workload.pod()["volumes"]) {
-        let projected = list(&volume["projected"]["sources"])
-            .iter()
-            .map(|source| (source, "name"));
-        for (source, secret_name) in projected.chain([(volume, "secretName")]) {
-            for (kind, field, name_field) in [
-                ("ConfigMap", "configMap", "name"),
-                ("Secret", "secret", secret_name),
-            ] {
-                if let Some(reference) = source.get(field) {
-                    let keys = items(reference);
-                    let keys: Vec<&str> = keys.iter().map(String::as_str).collect();
-                    want(kind, reference, name_field, &keys);
-                }
-            }
-        }
-    }
-    missing
+/// Keys of ConfigMaps that are nowhere.
+fn missing_keys<'a>(
+    workload: Workload<'a>,
+    objects: Objects<'a>,
+) -> impl Iterator<Item = String> + use<'a> {
+    list(&workload.container()["env"])
+        .iter()
+        .filter_map(move |variable| {
+            let reference = &variable["valueFrom"]["configMapKeyRef"];
+            let map = objects.find("ConfigMap", text(&reference["name"]))?;
+            let key = text(&reference["key"]);
+            map["data"][key]
+                .is_null()
+                .then(|| format!("key {key} in {}", title(map)))
+        })
 }
 
 /// Volumes that are mounted and not declared, and ports that probes ask for by name.

@@ -21,7 +21,7 @@ Horizontal            | /apiVersion                               | "autoscaling
 const REFUSED_BY_US: &str = r#"
 ConfigMap run         | /metadata/name                            | "other"     | there is no ConfigMap run-
 ConfigMap run         | /data/preset                              | -           | there is no key preset
-Secret actor-token    | /metadata/name                            | "other"     | there is no Secret actor-token
+Secret actor          | /metadata/name                            | "other"     | there is no Secret actor-secrets
 PersistentVolumeClaim | /metadata/name                            | "other"     | there is no PersistentVolumeClaim learner
 ServiceAccount actor  | /metadata/name                            | "other"     | there is no ServiceAccount actor
 PriorityClass         | /metadata/name                            | "other"     | there is no PriorityClass isodream-learner
@@ -39,7 +39,10 @@ ConfigMap run         | /data/replay                              | "replay-1.re
 ConfigMap run         | /data/learner                             | "learner:7001" | has no port 7001
 ConfigMap run         | /data/learner                             | "teacher:7002" | there is no Service teacher
 Job learner           | @/ports/0/containerPort                   | 7003        | listens at
-Deployment actor      | @/env/4/value                             | "/etc/isodream/secrets/learner.token" | no volume has
+StatefulSet replay    | @/args/2                                  | "--config=/etc/isodream/config/none.toml" | no volume has
+Deployment actor      | @/env/3/value                             | "/etc/isodream/other" | no volume has
+Secret learner        | /data/learner.token                       | -           | Job learner: has the secrets
+Secret actor          | /data/learner.token                       | "eAo="      | Deployment actor: has the secrets
 StatefulSet replay    | @/args/3                                  | "--dir=/replay" | no volume has /replay
 NetworkPolicy actor   | /spec/egress/1/ports/0/port               | 7001        | actor to learner:7002: no NetworkPolicy lets it out
 NetworkPolicy learner | /spec/ingress/0/ports/0/port              | 7001        | actor to learner:7002: no NetworkPolicy lets it in
@@ -175,15 +178,12 @@ fn an_isodream_that_does_not_take_the_commands_is_noticed() {
     for refused in [
         "StatefulSet replay: isodream replay --preset=quick --config=",
         "Job learner: isodream learner --supervised",
-        "Deployment actor: isodream actor does not know ISODREAM_TLS_CA",
+        "Deployment actor: isodream actor does not know ISODREAM_SECRETS",
         "StatefulSet replay: isodream health localhost:7001 --help: error: unexpected argument",
     ] {
         assert!(said.contains(refused), "{said}");
     }
-    let variables =
-        "ISODREAM_TLS_CA ISODREAM_TLS_CERT ISODREAM_TLS_KEY ISODREAM_TOKENS ISODREAM_TOKEN_FILE";
-    let takes_all = format!(
-        "echo 'unknown key `no_such_section` --tls-ca'; for name in {variables}; do echo \"[env: $name=]\"; done"
-    );
-    assert_eq!(refuses(&takes_all), "");
+    let takes_all =
+        "echo '[env: ISODREAM_SECRETS=] --tls-ca learner.keep_checkpoints: must be at least 2'";
+    assert_eq!(refuses(takes_all), "");
 }
