@@ -17,7 +17,7 @@ mod tools;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use serde_json::Value;
 
 use self::commands::Isodream;
@@ -26,8 +26,8 @@ use self::tools::Tools;
 
 /// Where the manifests are.
 const MANIFESTS: &str = "deploy/k8s";
-/// What one builds.
-const OVERLAYS: &[&str] = &["small", "large", "gpu"];
+/// Where in [`MANIFESTS`] the folders are that one builds.
+const OVERLAYS: &str = "overlays";
 /// The files that secrets are made of.
 const SECRETS: &[&str] = &[
     "ca.pem",
@@ -59,8 +59,8 @@ pub(crate) fn kubernetes(root: &Path, args: &KubernetesArgs) -> Result<()> {
 pub(crate) fn check(root: &Path, isodream: Option<&Path>) -> Result<()> {
     let manifests = Manifests::stage(root)?;
     let mut problems = manifests.base()?;
-    for overlay in OVERLAYS {
-        let validated = manifests.overlay(overlay)?;
+    for overlay in manifests.overlays()? {
+        let validated = manifests.overlay(&overlay)?;
         let objects = Objects(&validated.objects);
         let mut found = validated.problems;
         found.extend(manifests.problems(objects));
@@ -68,7 +68,8 @@ pub(crate) fn check(root: &Path, isodream: Option<&Path>) -> Result<()> {
             let work = tempfile::tempdir()?;
             found.extend(Isodream { path, root }.refuses(objects, work.path())?);
         }
-        eprintln!("xtask: {overlay}: {} objects", validated.objects.len());
+        ensure!(!objects.0.is_empty(), "{overlay}: no objects");
+        eprintln!("xtask: {overlay}: {} objects", objects.0.len());
         problems.extend(found.iter().map(|problem| format!("{overlay}: {problem}")));
     }
     if let Some(path) = isodream {
@@ -119,8 +120,19 @@ impl Manifests {
             .collect())
     }
 
+    /// The names of all overlays.
+    fn overlays(&self) -> Result<Vec<String>> {
+        let folder = self.folder.path().join(OVERLAYS);
+        let mut names = Vec::new();
+        for entry in fs::read_dir(&folder).context("there are no overlays")? {
+            names.push(entry?.file_name().to_string_lossy().into_owned());
+        }
+        names.sort();
+        Ok(names)
+    }
+
     fn overlay(&self, name: &str) -> Result<tools::Validated> {
-        let folder = self.folder.path().join("overlays").join(name);
+        let folder = self.folder.path().join(OVERLAYS).join(name);
         self.tools.validate(&self.tools.render(&folder)?)
     }
 
