@@ -2,6 +2,7 @@
 
 mod compose;
 pub(crate) mod kubernetes;
+mod slurm;
 
 use std::path::Path;
 
@@ -15,6 +16,8 @@ pub(crate) enum Deploy {
     Compose(compose::ComposeArgs),
     /// deploy/k8s against the schemas of Kubernetes, itself and isodream; needs no cluster.
     Kubernetes(kubernetes::KubernetesArgs),
+    /// deploy/slurm on three nodes of a Slurm of its own: killed, failed over, joined, requeued; needs root.
+    Slurm(slurm::SlurmArgs),
 }
 
 /// Runs the test of one engine.
@@ -22,5 +25,6 @@ pub(crate) fn deploy(root: &Path, engine: Deploy) -> Result<()> {
     match engine {
         Deploy::Compose(args) => compose::compose(root, &args),
         Deploy::Kubernetes(args) => kubernetes::kubernetes(root, &args),
+        Deploy::Slurm(args) => slurm::slurm(root, &args),
     }
 }
