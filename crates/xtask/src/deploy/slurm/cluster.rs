@@ -7,12 +7,15 @@ use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 
-use crate::stage::output;
+use crate::stage::{output, run};
 
 /// Nodes; a run has two, the third takes over from one that fails.
 pub(super) const NODES: usize = 3;
+
+/// The partition whose jobs preempt those of the other.
+pub(super) const URGENT: &str = "urgent";
 
 /// What must be installed, and the Debian package that has it.
 const PROGRAMS: [(&str, &str); 6] = [
@@ -62,8 +65,8 @@ pub(super) struct Job(String);
 impl Job {
     /// A field of `scontrol show job`; empty where there is none.
     pub(super) fn field(&self, name: &str) -> &str {
-        let mut words = self.0.split_whitespace();
-        words
+        self.0
+            .split_whitespace()
             .find_map(|word| word.strip_prefix(name)?.strip_prefix('='))
             .unwrap_or_default()
     }
@@ -76,7 +79,6 @@ impl Job {
 impl Cluster {
     /// Starts it in the empty folder `dir`.
     pub(super) fn start(dir: &Path) -> Result<Self> {
-        // Keys and state are those of root; node processes find their folders below.
         let mut cluster = Self {
             dir: dir.to_owned(),
             nodes: [const { None }; NODES],
@@ -136,7 +138,7 @@ impl Cluster {
     /// How many nodes wait for jobs; 0 also while the controller does not answer yet.
     pub(super) fn idle_nodes(&self) -> usize {
         let mut sinfo = self.command("sinfo");
-        sinfo.args(["--noheader", "--Node", "--format=%T"]);
+        sinfo.args(["--noheader", "--Node", "--partition", URGENT, "--format=%T"]);
         sinfo.output().map_or(0, |found| {
             let states = String::from_utf8_lossy(&found.stdout);
             states
@@ -156,7 +158,7 @@ impl Cluster {
 
     /// `scontrol ARGS...`.
     pub(super) fn control<'a>(&self, args: impl IntoIterator<Item = &'a str>) -> Result<()> {
-        crate::stage::run(self.command("scontrol").args(args))
+        run(self.command("scontrol").args(args))
     }
 
     fn daemon(&self, command: &mut Command, name: &str) -> Result<Child> {
@@ -177,7 +179,7 @@ impl Cluster {
         let ports = free_ports(1 + NODES)?;
         // Ports of a run follow from the number of its job, and differ for every cluster on this machine.
         let first_job = 1 + std::process::id() % 1400;
-        // A requeued job waits for its old credentials to expire, and for the next round of the scheduler.
+        // Short times: a requeued job waits until its old credentials expire, and for the next round of the scheduler.
         let mut text = format!(
             "ClusterName=isodream\n\
              SlurmctldHost={host}(127.0.0.1)\n\
@@ -199,7 +201,10 @@ impl Cluster {
              SchedulerParameters=bf_interval=2,sched_interval=2\n\
              ReturnToService=2\n\
              FirstJobId={first_job}\n\
-             PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP\n",
+             PreemptType=preempt/partition_prio\n\
+             PreemptMode=REQUEUE\n\
+             PartitionName=main Nodes=ALL Default=YES PriorityTier=1 GraceTime=30\n\
+             PartitionName={URGENT} Nodes=ALL PriorityTier=2 PreemptMode=OFF\n",
             ports[0]
         );
         for node in 0..NODES {
@@ -249,8 +254,20 @@ fn free_ports(count: usize) -> Result<Vec<u16>> {
 fn random_bytes() -> Result<[u8; 1024]> {
     let mut bytes = [0; 1024];
     File::open("/dev/urandom")?.read_exact(&mut bytes)?;
-    if bytes.iter().all(|byte| *byte == 0) {
-        bail!("/dev/urandom gives zeros");
-    }
     Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fields_of_a_job_are_found_by_their_whole_name() {
+        let job = Job("JobId=7 Requeue=1 Restarts=2 JobState=RUNNING NodeList=node[0,2]\n".into());
+        assert_eq!(job.state(), "RUNNING");
+        assert_eq!(job.field("Restarts"), "2");
+        assert_eq!(job.field("NodeList"), "node[0,2]");
+        assert_eq!(job.field("State"), "");
+        assert_eq!(job.field("Job"), "");
+    }
 }

@@ -1,7 +1,7 @@
 //! A run inside the cluster, seen from outside: its job, its folder, its processes.
 
-use std::collections::BTreeMap;
 use std::fs;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::thread::sleep;
@@ -10,40 +10,32 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail, ensure};
 use serde_json::Value;
 
-use super::cluster::{Cluster, Job};
+use super::cluster::{Cluster, address, node_name};
+use super::drill::Subject;
+use super::progress::{Position, Progress};
 use crate::stage::{output, run, with_native};
 
 /// How long a job may take for one thing on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(240);
 
-/// What is durable of a run. None of it ever gets smaller.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(super) struct Progress {
-    /// Updates that the newest checkpoint holds.
-    pub(super) updates: u64,
-    /// Steps ever inserted into each replay-server's store, in the order of their folders.
-    pub(super) inserted: Vec<u64>,
-    /// Next sequence number of every actor, over all stores.
-    pub(super) actors: BTreeMap<String, u64>,
-}
-
 /// A run and its job.
 #[derive(Debug)]
-pub(super) struct Run<'a> {
-    pub(super) binary: &'a Path,
-    pub(super) root: &'a Path,
+pub(super) struct Run {
+    binary: PathBuf,
+    root: PathBuf,
     pub(super) dir: PathBuf,
     pub(super) job: String,
     last: Progress,
 }
 
-impl<'a> Run<'a> {
-    pub(super) fn new(binary: &'a Path, root: &'a Path, dir: PathBuf, job: String) -> Self {
+impl Run {
+    /// A run in `dir` that is not submitted yet.
+    pub(super) fn new(subject: &Subject, dir: PathBuf) -> Self {
         Self {
-            binary,
-            root,
+            binary: subject.binary.clone(),
+            root: subject.root.clone(),
             dir,
-            job,
+            job: String::new(),
             last: Progress::default(),
         }
     }
@@ -58,65 +50,121 @@ impl<'a> Run<'a> {
             ..self.stores()?
         };
         let last = &self.last;
-        let steps_kept = last.inserted.iter().enumerate();
-        let kept = now.updates >= last.updates && { steps_kept }
-            .all(|(shard, steps)| now.inserted.get(shard) >= Some(steps));
-        ensure!(kept, "the run went back, from {last:?} to {now:?}");
+        ensure!(
+            now.holds(last),
+            "the run went back, from {last:?} to {now:?}"
+        );
         self.last.clone_from(&now);
         Ok(now)
     }
 
-    /// Waits until the run has more updates, and every store more steps, than now.
+    /// Waits until the run has a newer checkpoint and more steps than now.
     pub(super) fn goes_on(&mut self, cluster: &Cluster) -> Result<Progress> {
         let before = self.progress()?;
         until("the run goes on", || {
             let job = cluster.job(&self.job)?;
             ensure!(
                 ["RUNNING", "PENDING", "COMPLETING"].contains(&job.state()),
-                "job {} ended as {}; with more --env-frames it has more time",
+                "job {} ended as {}; if it has COMPLETED too early, give it more --env-frames",
                 self.job,
                 job.state()
             );
             let now = self.progress()?;
-            let steps = |progress: &Progress| progress.inserted.iter().sum::<u64>();
-            let more = now.updates > before.updates && steps(&now) > steps(&before);
+            let more = now.updates > before.updates && now.steps() > before.steps();
             Ok(more.then_some(now))
         })
     }
 
-    /// The process of a role, by words of its command line.
-    pub(super) fn process(&self, words: &[&str]) -> Option<u32> {
-        let binary = self.binary.to_string_lossy();
-        command_lines().find_map(|(pid, line)| {
-            let args: Vec<&str> = line.split('\0').collect();
-            let all = args.first() == Some(&binary.as_ref())
-                && words.iter().all(|word| args.contains(word));
-            all.then_some(pid)
+    /// Waits until an actor has stored more than at the position `before`.
+    pub(super) fn stores_from(&mut self, actor: &str, before: Position) -> Result<String> {
+        until(&format!("steps of {actor} are stored"), || {
+            let position = self.progress()?.position_of(actor);
+            Ok((position > before).then(|| format!("{} chunks of {actor}", position.1)))
         })
     }
 
-    /// Kills a role as nothing can that it could handle, and waits for its successor.
-    pub(super) fn kill(&self, words: &[&str]) -> Result<()> {
+    /// Kills a role, known by words of its command line, and waits for its successor.
+    pub(super) fn kill(&self, words: &[&str]) -> Result<String> {
+        let find = || {
+            self.processes().find_map(|(pid, line)| {
+                let args: Vec<&str> = line.split('\0').collect();
+                words.iter().all(|word| args.contains(word)).then_some(pid)
+            })
+        };
         let missing = || format!("no process has {} in its command line", words.join(" "));
-        let pid = self.process(words).with_context(missing)?;
+        let pid = find().with_context(missing)?;
         run(Command::new("kill").args(["-KILL", &pid.to_string()]))?;
-        until(&format!("{} comes back", words[0]), || {
-            Ok(self.process(words).filter(|new| *new != pid).map(drop))
+        let new = until(&format!("the {} comes back", words[0]), || {
+            Ok(find().filter(|new| *new != pid))
+        })?;
+        Ok(format!("process {pid}, then {new}"))
+    }
+
+    /// Whether any role of the job runs; actors of other jobs, which joined it, do not count.
+    pub(super) fn has_processes(&self) -> bool {
+        let dir = self.dir.to_string_lossy();
+        let names = ["actor", "evaluator"].map(|kind| format!("{kind}-{}", self.job));
+        self.processes().any(|(_, line)| {
+            let mut args = line.split('\0');
+            args.any(|arg| {
+                arg.starts_with(dir.as_ref()) || names.iter().any(|name| arg.starts_with(name))
+            })
         })
+    }
+
+    /// Processes of the binary with their command lines.
+    fn processes(&self) -> impl Iterator<Item = (u32, String)> {
+        let binary = format!("{}\0", self.binary.display());
+        command_lines().filter(move |(_, line)| line.starts_with(&binary))
+    }
+
+    /// Fails unless the addresses are those of `nodes`: a replay-server on each, the learner on the first.
+    pub(super) fn is_placed_on(&self, nodes: [usize; 2]) -> Result<()> {
+        let line = self.addresses()?;
+        let [first, second] = nodes.map(address);
+        let hosts: Vec<&str> = { line.split([' ', ',']).take(3) }
+            .filter_map(|address| address.split(':').next())
+            .collect();
+        ensure!(
+            hosts == [&first, &second, &first],
+            "the roles are at {line}, not on {}",
+            nodes.map(node_name).join(" and ")
+        );
+        Ok(())
+    }
+
+    /// Fails where others than the owner may read the secrets, or a token is an argument of any process.
+    pub(super) fn keeps_its_secrets(&self) -> Result<String> {
+        let parent = self.dir.join("secrets");
+        let mode = fs::metadata(&parent)?.permissions().mode() & 0o777;
+        ensure!(mode == 0o700, "{} has mode {mode:o}", parent.display());
+        let line = self.addresses()?;
+        let folder = line.split(' ').nth(2).context("no folder of secrets")?;
+        for role in ["actor", "learner", "viewer"] {
+            let path = Path::new(folder.trim()).join(format!("{role}.token"));
+            let token = fs::read_to_string(&path)
+                .with_context(|| format!("cannot read {}", path.display()))?;
+            let token = token.trim();
+            ensure!(!token.is_empty(), "{} is empty", path.display());
+            ensure!(
+                !command_lines().any(|(_, line)| line.contains(token)),
+                "the {role}'s token is on a command line"
+            );
+        }
+        Ok(format!("mode {mode:o}"))
     }
 
     /// The line by which the roles find each other: replay-servers, learner, folder of secrets.
-    pub(super) fn addresses(&self) -> Result<Vec<String>> {
+    fn addresses(&self) -> Result<String> {
         let path = self.dir.join("addresses");
-        let line = fs::read_to_string(&path).with_context(|| format!("no {}", path.display()))?;
-        Ok(line.split_whitespace().map(str::to_owned).collect())
+        fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))
     }
 
     /// The binary, asked something.
-    pub(super) fn ask<'b>(&self, args: impl IntoIterator<Item = &'b str>) -> Command {
-        let mut command = Command::new(self.binary);
+    pub(super) fn ask<'a>(&self, args: impl IntoIterator<Item = &'a str>) -> Command {
+        let mut command = Command::new(&self.binary);
         command.args(args);
-        with_native(&mut command, self.root);
+        with_native(&mut command, &self.root);
         command
     }
 
@@ -152,22 +200,29 @@ impl<'a> Run<'a> {
             found.inserted.push(number(&store["inserted_steps"])?);
             for actor in store["actors"].as_array().into_iter().flatten() {
                 let id = actor["actor_id"].as_str().context("an actor has no id")?;
-                *found.actors.entry(id.to_owned()).or_default() += number(&actor["next_seq"])?;
+                let position = (number(&actor["epoch"])?, number(&actor["next_seq"])?);
+                let newest = found.actors.entry(id.to_owned()).or_default();
+                *newest = position.max(*newest);
             }
         }
         Ok(found)
     }
 }
 
-/// Waits until a job is in one of `states`.
-pub(super) fn until_job(cluster: &Cluster, id: &str, states: &[&str]) -> Result<Job> {
-    until(&format!("job {id} is {}", states.join(" or ")), || {
+/// Waits until a job is in a state.
+///
+/// # Errors
+/// Where it ends in another one.
+pub(super) fn until_job(cluster: &Cluster, id: &str, state: &str) -> Result<()> {
+    until(&format!("job {id} is {state}"), || {
         let job = cluster.job(id)?;
-        let failed = ["FAILED", "CANCELLED", "TIMEOUT"].contains(&job.state());
-        if failed && !states.contains(&job.state()) {
-            bail!("job {id} ended as {}", job.state());
-        }
-        Ok(states.contains(&job.state()).then_some(job))
+        let over = ["COMPLETED", "FAILED", "CANCELLED", "TIMEOUT"].contains(&job.state());
+        ensure!(
+            !over || job.state() == state,
+            "job {id} ended as {}",
+            job.state()
+        );
+        Ok((job.state() == state).then_some(()))
     })
 }
 
@@ -187,7 +242,7 @@ pub(super) fn until<T>(what: &str, mut ask: impl FnMut() -> Result<Option<T>>) -
 }
 
 /// Command lines of all processes of this machine, their arguments separated by NUL.
-pub(super) fn command_lines() -> impl Iterator<Item = (u32, String)> {
+fn command_lines() -> impl Iterator<Item = (u32, String)> {
     let entries = fs::read_dir("/proc").into_iter().flatten().flatten();
     entries.filter_map(|entry| {
         let pid = entry.file_name().to_str()?.parse().ok()?;
