@@ -16,7 +16,7 @@ use super::progress::{Position, Progress};
 use crate::stage::{output, run, with_native};
 
 /// How long a job may take for one thing on a busy machine.
-const PATIENCE: Duration = Duration::from_secs(240);
+const PATIENCE: Duration = Duration::from_secs(300);
 
 /// A run and its job.
 #[derive(Debug)]
@@ -73,6 +73,21 @@ impl Run {
             let more = now.updates > before.updates && now.steps() > before.steps();
             Ok(more.then_some(now))
         })
+    }
+
+    /// Waits until the job is COMPLETED, for as long as there are new checkpoints.
+    pub(super) fn completes(&mut self, cluster: &Cluster) -> Result<Progress> {
+        loop {
+            let before = self.progress()?;
+            let completed = until("the run goes on or is complete", || {
+                let completed = is_in(cluster, &self.job, "COMPLETED")?;
+                let now = self.progress()?;
+                Ok((completed || now.updates > before.updates).then_some(completed))
+            })?;
+            if completed {
+                return self.progress();
+            }
+        }
     }
 
     /// Waits until an actor has stored more than at the position `before`.
@@ -215,15 +230,19 @@ impl Run {
 /// Where it ends in another one.
 pub(super) fn until_job(cluster: &Cluster, id: &str, state: &str) -> Result<()> {
     until(&format!("job {id} is {state}"), || {
-        let job = cluster.job(id)?;
-        let over = ["COMPLETED", "FAILED", "CANCELLED", "TIMEOUT"].contains(&job.state());
-        ensure!(
-            !over || job.state() == state,
-            "job {id} ended as {}",
-            job.state()
-        );
-        Ok((job.state() == state).then_some(()))
+        Ok(is_in(cluster, id, state)?.then_some(()))
     })
+}
+
+fn is_in(cluster: &Cluster, id: &str, state: &str) -> Result<bool> {
+    let job = cluster.job(id)?;
+    let over = ["COMPLETED", "FAILED", "CANCELLED", "TIMEOUT"].contains(&job.state());
+    ensure!(
+        !over || job.state() == state,
+        "job {id} ended as {}",
+        job.state()
+    );
+    Ok(job.state() == state)
 }
 
 /// Asks twice a second until there is an answer.
