@@ -150,13 +150,13 @@ impl Run {
 
     /// Fails where others than the owner may read the secrets, or a token is an argument of any process.
     pub(super) fn keeps_its_secrets(&self) -> Result<String> {
-        let parent = self.dir.join("secrets");
-        let mode = fs::metadata(&parent)?.permissions().mode() & 0o777;
-        ensure!(mode == 0o700, "{} has mode {mode:o}", parent.display());
         let line = self.addresses()?;
-        let folder = line.split(' ').nth(2).context("no folder of secrets")?;
+        let folder = line.trim().split(' ').nth(2);
+        let folder = Path::new(folder.context("no folder of secrets among the addresses")?);
+        let mode = fs::metadata(folder)?.permissions().mode() & 0o777;
+        ensure!(mode == 0o700, "{} has mode {mode:o}", folder.display());
         for role in ["actor", "learner", "viewer"] {
-            let path = Path::new(folder.trim()).join(format!("{role}.token"));
+            let path = folder.join(format!("{role}.token"));
             let token = fs::read_to_string(&path)
                 .with_context(|| format!("cannot read {}", path.display()))?;
             let token = token.trim();
