@@ -21,6 +21,9 @@ use crate::output::print;
 /// Characters of a token: 256 bits and more.
 const TOKEN_LENGTH: usize = 43;
 
+const SERVER: ExtendedKeyUsagePurpose = ExtendedKeyUsagePurpose::ServerAuth;
+const CLIENT: ExtendedKeyUsagePurpose = ExtendedKeyUsagePurpose::ClientAuth;
+
 /// Options of `isodream secrets`.
 #[derive(Debug, Args)]
 pub(crate) struct SecretsArgs {
@@ -52,12 +55,13 @@ pub(crate) fn run(args: &SecretsArgs) -> anyhow::Result<()> {
     let authority = authority(args.days)?;
     let mut hosts: Vec<String> = ["localhost", "127.0.0.1", "::1"].map(str::to_owned).into();
     hosts.extend(args.hosts.iter().cloned());
-    for (name, names, purpose) in [
-        ("server", hosts, ExtendedKeyUsagePurpose::ServerAuth),
-        ("client", Vec::new(), ExtendedKeyUsagePurpose::ClientAuth),
+    for (name, names, purposes) in [
+        // A learner may show the same certificate to its actors and to the replay-servers.
+        ("server", hosts, vec![SERVER, CLIENT]),
+        ("client", Vec::new(), vec![CLIENT]),
     ] {
         let key = KeyPair::generate()?;
-        let certificate = leaf(name, names, purpose, args.days)?
+        let certificate = leaf(name, names, purposes, args.days)?
             .signed_by(&key, &authority)
             .with_context(|| format!("cannot make the certificate of the {name}"))?;
         write(dir, &format!("{name}.pem"), &certificate.pem())?;
@@ -92,12 +96,12 @@ fn authority(days: u16) -> anyhow::Result<CertifiedIssuer<'static, KeyPair>> {
 fn leaf(
     name: &str,
     hosts: Vec<String>,
-    purpose: ExtendedKeyUsagePurpose,
+    purposes: Vec<ExtendedKeyUsagePurpose>,
     days: u16,
 ) -> anyhow::Result<CertificateParams> {
     let mut params = params(&format!("isodream {name}"), hosts, days)?;
     params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
-    params.extended_key_usages = vec![purpose];
+    params.extended_key_usages = purposes;
     params.use_authority_key_identifier_extension = true;
     Ok(params)
 }
