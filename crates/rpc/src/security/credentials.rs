@@ -133,7 +133,7 @@ mod tests {
             "{token}"
         );
         let ca = load(Files {
-            ca: Some(path.clone()),
+            ca: Some(path),
             ..Files::default()
         });
         assert!(ca.contains("no PEM block of a certificate"), "{ca}");
