@@ -63,7 +63,7 @@ impl ClientArgs {
 /// What a server shows and demands, and what it shows where it is a client itself.
 #[derive(Debug, Clone, Default, Args)]
 #[command(next_help_heading = "Security")]
-pub(crate) struct ServerArgs {
+pub(crate) struct DoorArgs {
     #[command(flatten)]
     pub(crate) client: ClientArgs,
     /// Clients must show a certificate of this authority (PEM)
@@ -80,7 +80,7 @@ pub(crate) struct ServerArgs {
     max_connections: Option<u32>,
 }
 
-impl ServerArgs {
+impl DoorArgs {
     /// What `train` hands on to the roles that it starts.
     #[cfg(feature = "torch")]
     pub(crate) fn of_train(secrets: Option<PathBuf>, insecure: bool) -> Self {

@@ -8,7 +8,7 @@ use isodream_rpc::shutdown_on_signal;
 
 use super::env_config;
 use crate::output::print;
-use crate::security::ServerArgs;
+use crate::security::DoorArgs;
 
 /// Options of `isodream env serve`.
 #[derive(Debug, Args)]
@@ -26,7 +26,7 @@ pub(crate) struct ServeArgs {
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
     #[command(flatten)]
-    door: ServerArgs,
+    door: DoorArgs,
 }
 
 /// Serves until a signal to stop.

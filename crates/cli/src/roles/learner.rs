@@ -9,7 +9,7 @@ use isodream_learner::{Finished, LearnerOptions};
 use isodream_rpc::{ENVIRONMENT_PATIENCE, Role, environment_spec};
 
 use super::RoleArgs;
-use crate::security::ServerArgs as DoorArgs;
+use crate::security::DoorArgs;
 
 /// Options of `isodream learner`.
 #[derive(Debug, Args)]

@@ -13,7 +13,7 @@ use isodream_rpc::Door;
 use metrics_exporter_prometheus::PrometheusBuilder;
 
 use super::RoleArgs;
-use crate::security::ServerArgs as DoorArgs;
+use crate::security::DoorArgs;
 use crate::store::StoreCommand;
 
 /// Options of `isodream replay`.

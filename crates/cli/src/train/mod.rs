@@ -20,7 +20,7 @@ use isodream_rpc::{Dialer, Door, Role, environment_spec, remote_address, shutdow
 use crate::config_args::ConfigArgs;
 use crate::eval::evaluate;
 use crate::output::print;
-use crate::security::ServerArgs;
+use crate::security::DoorArgs;
 use processes::{Process, Processes};
 use progress::Progress;
 
@@ -60,7 +60,7 @@ pub(crate) struct TrainArgs {
 pub(crate) async fn run(args: TrainArgs) -> anyhow::Result<()> {
     let config = resolve(&args.config, &args.run_dir)?;
     // Everything that can be wrong is told before the run directory is touched.
-    let security = ServerArgs::of_train(args.secrets.clone(), args.insecure);
+    let security = DoorArgs::of_train(args.secrets.clone(), args.insecure);
     let dialer = security.client.dialer(Role::Learner)?;
     tokio::task::block_in_place(|| check_environment(&dialer, &config.env))?;
     ensure!(
