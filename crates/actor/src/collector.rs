@@ -9,12 +9,12 @@ use isodream_core::{Step, derive_seed};
 use isodream_envs::{Driver, EnvError, Environment, RandomDriver, VectorEnvironment};
 use isodream_model::Actions;
 use isodream_proto::v1;
-use isodream_rpc::{AppendClient, RpcError};
+use isodream_rpc::{AppendClient, Policy, RpcError};
 use tokio_util::sync::CancellationToken;
 
 use crate::failures::Failures;
 use crate::lane::Lane;
-use crate::learner_link::{LearnerLink, PublishedPolicy};
+use crate::learner_link::LearnerLink;
 use crate::report::report;
 use crate::{ActorOptions, AgentPolicy};
 
@@ -31,7 +31,7 @@ pub(crate) struct Collector {
 }
 
 /// The policy that acts, once there is one.
-type Acting = Option<(Arc<PublishedPolicy>, AgentPolicy)>;
+type Acting = Option<(Arc<Policy>, AgentPolicy)>;
 
 impl Collector {
     pub(crate) fn new(
@@ -80,7 +80,7 @@ impl Collector {
             if let Some(newest) = link.newest()? {
                 self.take(newest, &mut policy)?;
             }
-            let version = policy.as_ref().map(|(published, _)| published.version);
+            let version = policy.as_ref().map(|(published, _)| published.version());
             let actions = self.act(policy.as_mut().map(|(_, agent)| agent))?;
             if let Err(error) = self.advance(&actions, link, version) {
                 self.failures.another(error.into())?;
@@ -110,12 +110,12 @@ impl Collector {
         Ok(())
     }
 
-    fn take(&self, newest: Arc<PublishedPolicy>, policy: &mut Acting) -> anyhow::Result<()> {
+    fn take(&self, newest: Arc<Policy>, policy: &mut Acting) -> anyhow::Result<()> {
         match policy {
-            Some((published, _)) if published.version == newest.version => return Ok(()),
+            Some((published, _)) if published.version() == newest.version() => return Ok(()),
             Some((published, agent)) => {
                 agent
-                    .load(&newest.weights)
+                    .load(newest.weights())
                     .context("the published policy does not fit this actor")?;
                 *published = newest;
             }
@@ -124,11 +124,11 @@ impl Collector {
                     &self.options.config,
                     self.environments.spec(),
                     self.lanes.len(),
-                    &newest.weights,
+                    newest.weights(),
                 )
                 .context("the published policy does not fit this actor")?;
                 tracing::info!(
-                    version = newest.version.version,
+                    version = newest.version().version,
                     "acting by the learner's policy"
                 );
                 *policy = Some((newest, agent));

@@ -59,10 +59,9 @@ pub async fn run(options: ActorOptions, shutdown: CancellationToken) -> anyhow::
             };
             due_frames = frames + config.actor.evaluate_interval_frames;
             match &mut agent {
-                Some(agent) => agent.load(&policy.weights),
-                None => {
-                    AgentPolicy::new(config, &spec, 1, &policy.weights).map(|new| agent = Some(new))
-                }
+                Some(agent) => agent.load(policy.weights()),
+                None => AgentPolicy::new(config, &spec, 1, policy.weights())
+                    .map(|new| agent = Some(new)),
             }
             .context("the published policy does not fit this actor")?;
             let agent = agent.as_mut().context("a policy was just loaded")?;
@@ -83,7 +82,7 @@ pub async fn run(options: ActorOptions, shutdown: CancellationToken) -> anyhow::
                     link.report(report(
                         &options.actor_id,
                         v1::ActorRole::Evaluate,
-                        Some(policy.version),
+                        Some(policy.version()),
                         seed,
                         outcome,
                     ));

@@ -2,10 +2,9 @@
 
 use std::sync::Arc;
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use isodream_proto::{Identity, v1};
-use isodream_rpc::{Dialer, LearnerClient, is_refusal, reconnect_delays, retry};
-use sha2::{Digest, Sha256};
+use isodream_rpc::{Dialer, KeepPolicies, Policy, follow_policy, retry};
 use tokio::sync::{mpsc, watch};
 
 /// Reports on their way to the learner at most; the newest are dropped beyond it, with a warning.
@@ -14,20 +13,11 @@ const REPORT_QUEUE: usize = 64;
 /// Tries of one report before it is given up.
 const REPORT_ATTEMPTS: usize = 5;
 
-/// A policy as the learner published it.
-#[derive(Debug)]
-pub(crate) struct PublishedPolicy {
-    /// Its place in the order of versions.
-    pub(crate) version: v1::PolicyVersion,
-    /// Safetensors bytes, their hash checked.
-    pub(crate) weights: Vec<u8>,
-}
-
 /// What the watch knows.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct PolicyNews {
     /// The newest policy; none until the learner publishes.
-    pub(crate) newest: Option<Arc<PublishedPolicy>>,
+    pub(crate) newest: Option<Arc<Policy>>,
     /// Why the learner will never talk to this actor.
     pub(crate) refused: Option<String>,
 }
@@ -56,29 +46,14 @@ impl LearnerLink {
         };
         let watching = client.clone();
         tokio::spawn(async move {
-            let mut delays = reconnect_delays();
-            let mut told = String::new();
-            while !sender.is_closed() {
-                let before = version_of(&sender);
-                if let Err(error) = follow(watching.clone(), &request, &sender).await {
-                    let refused = error
-                        .downcast_ref::<tonic::Status>()
-                        .is_some_and(is_refusal);
-                    if refused {
-                        sender.send_modify(|news| news.refused = Some(format!("{error:#}")));
-                        return;
-                    }
-                    let error = format!("{error:#}");
-                    // Once for each reason: a learner may be away for long.
-                    if error != told {
-                        tracing::warn!(error, "the learner is out of reach, trying again");
-                        told = error;
-                    }
-                }
-                if version_of(&sender) != before {
-                    delays = reconnect_delays();
-                }
-                tokio::time::sleep(delays.next().unwrap_or_default()).await;
+            let sink = KeepPolicies::new(|policy| {
+                sender.send_modify(|news| news.newest = Some(Arc::new(policy)));
+            });
+            tokio::select! {
+                refusal = follow_policy(watching, request, sink) => sender.send_modify(|news| {
+                    news.refused = Some(refusal.message().to_owned());
+                }),
+                () = sender.closed() => {}
             }
         });
         let (reports, mut queue) = mpsc::channel::<v1::EpisodeReport>(REPORT_QUEUE);
@@ -104,7 +79,7 @@ impl LearnerLink {
     ///
     /// # Errors
     /// Where the learner refused this actor for good.
-    pub(crate) fn newest(&self) -> anyhow::Result<Option<Arc<PublishedPolicy>>> {
+    pub(crate) fn newest(&self) -> anyhow::Result<Option<Arc<Policy>>> {
         let news = self.policy.borrow();
         if let Some(reason) = &news.refused {
             bail!(
@@ -121,48 +96,4 @@ impl LearnerLink {
             tracing::warn!("an episode's report was dropped: the learner does not take them");
         }
     }
-}
-
-fn version_of(sender: &watch::Sender<PolicyNews>) -> Option<v1::PolicyVersion> {
-    sender.borrow().newest.as_ref().map(|policy| policy.version)
-}
-
-/// Follows announcements until the stream ends.
-async fn follow(
-    mut client: LearnerClient,
-    request: &v1::WatchPolicyRequest,
-    sender: &watch::Sender<PolicyNews>,
-) -> anyhow::Result<()> {
-    let mut announcements = client.watch_policy(request.clone()).await?.into_inner();
-    while let Some(announcement) = announcements.message().await? {
-        let version = announcement
-            .version
-            .context("an announcement without a version")?;
-        let fetch = v1::FetchPolicyRequest {
-            version: Some(version),
-        };
-        let mut parts = match client.fetch_policy(fetch).await {
-            Ok(parts) => parts.into_inner(),
-            // Superseded meanwhile: the next announcement is on its way.
-            Err(status) if status.code() == tonic::Code::NotFound => continue,
-            Err(status) => return Err(status.into()),
-        };
-        let mut weights = Vec::new();
-        while let Some(part) = parts.message().await? {
-            weights.extend_from_slice(&part.data);
-        }
-        let hash: String = Sha256::digest(&weights)
-            .iter()
-            .map(|b| format!("{b:02x}"))
-            .collect();
-        if hash != announcement.content_hash {
-            bail!(
-                "policy {} arrived damaged: its hash differs",
-                version.version
-            );
-        }
-        sender
-            .send_modify(|news| news.newest = Some(Arc::new(PublishedPolicy { version, weights })));
-    }
-    Ok(())
 }

@@ -13,7 +13,6 @@
 
 pub mod checkpoint;
 mod progress;
-mod publisher;
 mod sampling;
 mod saver;
 mod service;

@@ -11,18 +11,18 @@ use isodream_model::Agent;
 use isodream_model::agent::Metric;
 use isodream_proto::v1::learner_service_server::LearnerServiceServer;
 use isodream_proto::{Identity, v1};
-use isodream_rpc::limits::MAX_MESSAGE_BYTES;
-use isodream_rpc::{SampleClient, SampleOptions, SampleWatch};
+use isodream_rpc::{
+    Policy, PolicyPublisher, PolicyService, SampleClient, SampleOptions, SampleWatch,
+};
 use isodream_telemetry::{MetricsWriter, ResumePoint};
 use tokio_util::sync::CancellationToken;
 
 use crate::LearnerOptions;
 use crate::checkpoint::{Checkpoint, Counters};
 use crate::progress::Progress;
-use crate::publisher::Publisher;
 use crate::sampling::{BatchShape, BatchStream, StagedBatch};
 use crate::saver::Saver;
-use crate::service::Service;
+use crate::service::Desk;
 
 /// How long the loop waits for data before it looks around (shutdown, reports, reasons).
 const PATIENCE: Duration = Duration::from_millis(200);
@@ -74,7 +74,7 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
         .duration_since(UNIX_EPOCH)
         .context("the clock stands before 1970")?
         .as_millis() as u64;
-    let publisher = Publisher::new(learner_epoch);
+    let publisher = PolicyPublisher::default();
     let identity = Identity::new(&options.spec, config.model_hash());
     tracing::info!(
         address = %listener.local_addr().context("the listener has no address")?,
@@ -85,16 +85,14 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
     );
 
     let serving = shutdown.child_token();
-    let service = LearnerServiceServer::new(Service {
+    let desk = Desk {
         identity: identity.clone(),
         publisher: publisher.clone(),
         progress: progress.clone(),
-        shutdown: serving.clone(),
-    })
-    .max_decoding_message_size(MAX_MESSAGE_BYTES)
-    .max_encoding_message_size(MAX_MESSAGE_BYTES);
+    };
+    let service = isodream_rpc::policy_service(desk, serving.clone());
     let router = isodream_rpc::server(&options.door)?
-        .add_service(isodream_rpc::serving::<LearnerServiceServer<Service>>().await)
+        .add_service(isodream_rpc::serving::<LearnerServiceServer<PolicyService<Desk>>>().await)
         .add_service(service);
     let server = tokio::spawn(isodream_rpc::serve(router, listener, serving.clone()));
     let pretrain_left = config
@@ -137,6 +135,7 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
         options,
         counters,
         batches,
+        learner_epoch,
         publisher,
         progress,
         saver,
@@ -214,7 +213,8 @@ struct Training {
     options: LearnerOptions,
     counters: Counters,
     batches: BatchStream,
-    publisher: Publisher,
+    learner_epoch: u64,
+    publisher: PolicyPublisher,
     progress: Arc<Progress>,
     saver: Saver,
     /// Time spent waiting for data since the first batch.
@@ -368,9 +368,13 @@ impl Training {
     }
 
     fn publish(&self, agent: &Agent) {
-        self.publisher.publish(agent.updates(), agent.publish());
-        let version = self.publisher.newest().map(|policy| policy.version);
-        self.progress.set(|status| status.policy = version);
+        let version = v1::PolicyVersion {
+            learner_epoch: self.learner_epoch,
+            version: agent.updates(),
+        };
+        self.publisher
+            .publish(Policy::new(version, agent.publish()));
+        self.progress.set(|status| status.policy = Some(version));
     }
 
     /// Hands a copy of everything to the saver.

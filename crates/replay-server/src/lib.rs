@@ -4,6 +4,9 @@
 //! once and acknowledges. Streams admit chunks and draws through the rate limiter and tell their peer why they
 //! wait. Only that thread and blocking tasks touch the disk.
 //!
+//! A server can hand on the learner's policies as well ([`ServerOptions::relay_policy`]), so that its actors need no
+//! connection to the learner.
+//!
 //! A full disk holds inserts until there is room, while sampling goes on. Shutting down takes no more chunks,
 //! stores and acknowledges those that have arrived, and then ends the streams with the reason.
 
@@ -20,10 +23,11 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::Context;
+use isodream_proto::v1::learner_service_server::LearnerServiceServer;
 use isodream_proto::v1::replay_service_server::ReplayServiceServer;
 use isodream_replay::{LimiterOptions, ReplayError, Store, StoreOptions};
-use isodream_rpc::Door;
 use isodream_rpc::limits::MAX_MESSAGE_BYTES;
+use isodream_rpc::{Dialer, Door, PolicyRelay, PolicyService, policy_service};
 use tokio::net::TcpListener;
 use tokio::sync::mpsc;
 use tokio_stream::Stream;
@@ -54,6 +58,10 @@ pub struct ServerOptions {
     pub tables: Vec<ServedTable>,
     /// Who may come in.
     pub door: Door,
+    /// The learner, or another relay, whose policies are handed on; none serves experience alone.
+    pub relay_policy: Option<String>,
+    /// How that one is reached.
+    pub dialer: Dialer,
 }
 
 /// Whether `error` comes from a disk whose state is unknown, so that only a new process can go on. By convention
@@ -116,6 +124,7 @@ pub async fn serve_connections<C: isodream_rpc::Connection>(
     let _stop_on_drop = stop.clone().drop_guard();
     let (commands, queue) = mpsc::channel(COMMIT_QUEUE);
     let store_id = writer.store_id().to_owned();
+    let relay_name = format!("relay {store_id}");
     let state = Arc::new(State::new(
         store,
         store_id,
@@ -131,14 +140,14 @@ pub async fn serve_connections<C: isodream_rpc::Connection>(
     health
         .set_serving::<ReplayServiceServer<ReplayServer>>()
         .await;
-    let draining = stop.clone();
+    let (draining, reporter) = (stop.clone(), health.clone());
     tokio::spawn(async move {
         draining.cancelled().await;
-        health
+        reporter
             .set_not_serving::<ReplayServiceServer<ReplayServer>>()
             .await;
         // The server as a whole.
-        health
+        reporter
             .set_service_status("", ServingStatus::NotServing)
             .await;
     });
@@ -147,8 +156,20 @@ pub async fn serve_connections<C: isodream_rpc::Connection>(
     let service = ReplayServiceServer::new(ReplayServer::new(state))
         .max_decoding_message_size(MAX_MESSAGE_BYTES)
         .max_encoding_message_size(MAX_MESSAGE_BYTES);
+    let relay = match &options.relay_policy {
+        Some(learner) => {
+            let relay = PolicyRelay::new(&options.dialer, learner, relay_name, stop.clone())?;
+            health
+                .set_serving::<LearnerServiceServer<PolicyService<PolicyRelay>>>()
+                .await;
+            tracing::info!(learner, "handing on policies");
+            Some(policy_service(relay, stop.clone()))
+        }
+        None => None,
+    };
     let router = isodream_rpc::server(&options.door)?
         .add_service(health_service)
+        .add_optional_service(relay)
         .add_service(service);
     let served = isodream_rpc::serve_connections(router, incoming, stop.clone());
     tokio::pin!(served);

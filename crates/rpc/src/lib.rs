@@ -6,6 +6,7 @@
 //! - [`shutdown_on_signal`], [`reconnect_delays`]
 //! - [`AppendClient`], [`SampleClient`]: the two ends of experience over any number of replay-servers, which
 //!   reconnect by themselves; [`Network`] is the seam for a simulated network
+//! - [`PolicyPublisher`], [`follow_policy`], [`PolicyRelay`]: policies from the learner to its actors
 //! - [`open_environments`]: environments as a configuration names them, here or in other processes
 //!   ([`EnvironmentServer`], [`RemoteEnvironment`])
 
@@ -19,6 +20,7 @@ mod error;
 pub mod limits;
 mod link_state;
 mod network;
+mod policy;
 mod priorities;
 mod sample_client;
 mod sample_link;
@@ -39,6 +41,10 @@ pub use environment::{
 };
 pub use error::{RpcError, ServiceError, is_refusal};
 pub use network::{Network, Resolving, Tcp};
+pub use policy::{
+    KeepPolicies, Policy, PolicyDesk, PolicyPublisher, PolicyRelay, PolicyService, PolicySink,
+    PolicyWatch, follow_policy, policy_service,
+};
 pub use priorities::{PriorityHandle, PriorityUpdate};
 pub use sample_client::{SampleClient, SampleOptions, SampledSequence};
 pub use sample_watch::SampleWatch;

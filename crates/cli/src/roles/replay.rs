@@ -9,7 +9,7 @@ use isodream_core::Config;
 use isodream_core::config::{SelectorKind, TableConfig};
 use isodream_replay::{Capacity, LimiterOptions, Selector, StoreOptions, Table};
 use isodream_replay_server::{ServedTable, ServerOptions};
-use isodream_rpc::Door;
+use isodream_rpc::{Dialer, Door, Role};
 use metrics_exporter_prometheus::PrometheusBuilder;
 
 use super::RoleArgs;
@@ -42,6 +42,9 @@ pub(crate) struct ServerArgs {
     /// Where Prometheus finds metrics; nowhere by default
     #[arg(long)]
     metrics_listen: Option<SocketAddr>,
+    /// The learner, or another relay: hand on its policies, so that actors can take this server for their --learner
+    #[arg(long, value_name = "ADDRESS")]
+    relay_policy: Option<String>,
 }
 
 /// Runs a replay-server until it is told to stop.
@@ -58,7 +61,13 @@ pub(crate) async fn replay(args: ServerArgs) -> anyhow::Result<()> {
     }
     // The parser asks for it unless there is a subcommand.
     let dir = args.dir.context("--dir is missing")?;
-    isodream_replay_server::serve(server_options(&config, dir, door), listener, shutdown).await
+    let options = ServerOptions {
+        relay_policy: args.relay_policy,
+        // To the learner a relay is an actor.
+        dialer: args.door.client.dialer(Role::Actor)?,
+        ..server_options(&config, dir, door)
+    };
+    isodream_replay_server::serve(options, listener, shutdown).await
 }
 
 /// A setting whose 0 means that there is no limit.
@@ -83,6 +92,8 @@ fn server_options(config: &Config, folder: PathBuf, door: Door) -> ServerOptions
             tolerance_steps: batches * config.batch_steps() as f64,
         },
         door,
+        relay_policy: None,
+        dialer: Dialer::default(),
         tables: config.replay.tables.iter().map(served_table).collect(),
     }
 }

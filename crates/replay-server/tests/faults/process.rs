@@ -46,6 +46,8 @@ fn server_role() {
             samples_per_insert: 0.0,
             tolerance_steps: 0.0,
         },
+        relay_policy: None,
+        dialer: isodream_rpc::Dialer::default(),
         tables: vec![ServedTable {
             table: Table::new("train", Selector::Episodes),
             limited: true,

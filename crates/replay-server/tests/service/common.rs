@@ -48,6 +48,8 @@ impl Server {
                 segment_bytes: 8192,
             },
             limiter,
+            relay_policy: None,
+            dialer: isodream_rpc::Dialer::default(),
             tables: tables(),
             door: isodream_rpc::Door::default(),
         };

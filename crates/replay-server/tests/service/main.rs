@@ -8,6 +8,7 @@ mod full_disk;
 mod gaps;
 mod messages;
 mod refusals;
+mod relay;
 mod shards;
 mod shutdown;
 mod tables;

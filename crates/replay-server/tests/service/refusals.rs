@@ -270,6 +270,8 @@ fn a_folder_in_use_is_named() {
         folder: folder.path().to_owned(),
         store: isodream_replay::StoreOptions::default(),
         limiter: NO_LIMIT,
+        relay_policy: None,
+        dialer: isodream_rpc::Dialer::default(),
         tables: Vec::new(),
         door: isodream_rpc::Door::default(),
     };

@@ -63,6 +63,8 @@ pub(crate) async fn server(folder: PathBuf) -> Ended {
                 segment_bytes: 8192,
             },
             limiter: LIMITER,
+            relay_policy: None,
+            dialer: isodream_rpc::Dialer::default(),
             tables: vec![ServedTable {
                 table: Table::new("train", Selector::Episodes),
                 limited: true,

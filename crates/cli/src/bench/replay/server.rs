@@ -36,6 +36,8 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
             samples_per_insert: 0.0,
             tolerance_steps: 0.0,
         },
+        relay_policy: None,
+        dialer: isodream_rpc::Dialer::default(),
         tables: vec![ServedTable {
             table: Table::new(TABLE, Selector::Episodes),
             limited: false,
