@@ -76,3 +76,61 @@ fn the_actor_benchmark_measures_every_number_of_environments() -> Result<()> {
     }
     Ok(())
 }
+
+#[test]
+fn the_load_generator_finds_every_actor_served() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let dir = folder.path().join("load");
+    let dir = dir.to_str().context("a folder with a strange name")?;
+    let result = json(&[
+        "bench",
+        "load",
+        "--preset",
+        "debug",
+        "--actors",
+        "4",
+        "--servers",
+        "2",
+        "--relay",
+        "--learners",
+        "1",
+        "--seconds",
+        "4",
+        "--steps-per-second",
+        "100",
+        "--publish-seconds",
+        "1",
+        "--policy-bytes",
+        "100000",
+        "--dir",
+        dir,
+        "--json",
+    ])?;
+    ensure!(result["actors"] == 4 && result["replay_servers"] == 2);
+    for field in [
+        "appended_steps_per_s",
+        "appended_mb_per_s",
+        "join_seconds",
+        "sampled_steps_per_s",
+        "policy_mb_per_s",
+    ] {
+        positive(&result, field)?;
+    }
+    positive(&result["append"], "p99_ms")?;
+    positive(&result["commits"], "per_s")?;
+    let complete = positive(&result["fan_out"], "complete")?;
+    let verified = positive(&result["fan_out"]["actors"], "count")?;
+    ensure!(verified >= 4.0 * complete, "{}", result["fan_out"]);
+    ensure!(result["lost_reports"] == 0, "{}", result["lost_reports"]);
+    let processes = result["processes"].as_array().context("no processes")?;
+    let names: Vec<_> = processes.iter().map(|process| &process["name"]).collect();
+    ensure!(
+        names == ["actors", "door", "replay-0", "replay-1"],
+        "{names:?}"
+    );
+    ensure!(
+        !std::path::Path::new(dir).exists(),
+        "the experience is left behind"
+    );
+    Ok(())
+}

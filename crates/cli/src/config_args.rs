@@ -29,6 +29,21 @@ impl ConfigArgs {
         })
     }
 
+    /// The same options for another process.
+    pub(crate) fn args(&self) -> Vec<String> {
+        let preset = self
+            .preset
+            .iter()
+            .flat_map(|preset| ["--preset".to_owned(), preset.clone()]);
+        let file = self.config.iter().map(|file| file.display().to_string());
+        let file = file.flat_map(|file| ["--config".to_owned(), file]);
+        let set = self
+            .set
+            .iter()
+            .flat_map(|set| ["--set".to_owned(), set.clone()]);
+        preset.chain(file).chain(set).collect()
+    }
+
     /// Whether nothing was said.
     #[cfg(feature = "torch")]
     pub(crate) fn is_empty(&self) -> bool {

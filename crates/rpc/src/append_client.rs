@@ -10,7 +10,7 @@ use tokio_util::sync::{CancellationToken, DropGuard};
 use crate::append_link::Sender;
 use crate::append_route::AppendRoute;
 use crate::link_state::{Ending, LinkState};
-use crate::spool::{Bounds, Spool};
+use crate::spool::{AcknowledgedChunks, Bounds, Spool};
 use crate::{Dialer, RpcError};
 
 /// Settings of an [`AppendClient`].
@@ -164,6 +164,12 @@ impl AppendClient {
     /// Chunks that are durable.
     pub fn acknowledged_chunks(&self) -> u64 {
         self.spool.acknowledged()
+    }
+
+    /// Tells `observer` of every chunk that becomes durable: call it before the first [`AppendClient::send`]. Only
+    /// the first observer counts.
+    pub fn observe(&self, observer: Arc<dyn AcknowledgedChunks>) {
+        self.spool.observe(observer);
     }
 
     /// Ends every waiting and future [`AppendClient::send`]; what was handed over is still delivered.

@@ -54,3 +54,4 @@ pub use server::{
     Connection, GuardedRouter, GuardedServer, bind, serve, serve_connections, server, serving,
 };
 pub use shutdown::shutdown_on_signal;
+pub use spool::AcknowledgedChunks;

@@ -5,10 +5,18 @@
 //! sent to another: what keeps a step from being stored twice.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::fmt::Debug;
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use isodream_core::Chunk;
 use tokio::sync::watch;
+
+/// Learns of chunks that became durable.
+pub trait AcknowledgedChunks: Debug + Send + Sync {
+    /// The store `store_id` has `chunk`. Called before the chunk is dropped, in the order of each store; it must
+    /// not wait for long, because everything else of the client waits for it.
+    fn acknowledged(&self, store_id: &str, chunk: &Chunk);
+}
 
 /// How much a spool holds at most before its producer waits, and again for stores that are away.
 #[derive(Debug, Clone, Copy)]
@@ -22,6 +30,7 @@ pub(crate) struct Bounds {
 pub(crate) struct Spool {
     bounds: Bounds,
     inner: Mutex<Inner>,
+    observer: OnceLock<Arc<dyn AcknowledgedChunks>>,
     /// Tells everyone who waits that something changed.
     changes: watch::Sender<()>,
 }
@@ -55,8 +64,14 @@ impl Spool {
         Self {
             bounds,
             inner: Mutex::default(),
+            observer: OnceLock::new(),
             changes: watch::Sender::new(()),
         }
+    }
+
+    /// Tells `observer` of every chunk that is acknowledged from now on. Only the first one counts.
+    pub(crate) fn observe(&self, observer: Arc<dyn AcknowledgedChunks>) {
+        let _ = self.observer.set(observer);
     }
 
     /// Tells about every change from now on.
@@ -134,7 +149,11 @@ impl Spool {
             ));
         }
         let count = durable_seq.saturating_sub(outbox.first_seq());
-        outbox.chunks.drain(..count as usize);
+        for chunk in outbox.chunks.drain(..count as usize) {
+            if let Some(observer) = self.observer.get() {
+                observer.acknowledged(store, &chunk);
+            }
+        }
         inner.acknowledged += count;
         drop(inner);
         if count > 0 {

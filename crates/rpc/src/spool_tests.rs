@@ -78,7 +78,7 @@ async fn what_one_store_was_sent_is_never_sent_to_another() {
 
 #[tokio::test]
 async fn turning_to_another_store_lets_a_waiting_producer_go_on() {
-    let spool = std::sync::Arc::new(Spool::new(BOUNDS));
+    let spool = Arc::new(Spool::new(BOUNDS));
     spool.turn_to("a");
     for step in 0..3 {
         assert!(pushed(&spool, step, 1).await);
@@ -111,4 +111,33 @@ async fn stores_that_stay_away_cost_a_bounded_number_of_chunks() {
         "the bound for those away, and the current store's"
     );
     assert_eq!((given_up, spool.given_up()), (20 - 5, 20 - 5));
+}
+
+/// Store and first step of what was acknowledged.
+#[derive(Debug, Default)]
+struct Told(Mutex<Vec<(String, u32)>>);
+
+impl AcknowledgedChunks for Told {
+    fn acknowledged(&self, store_id: &str, chunk: &Chunk) {
+        let mut told = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        told.push((store_id.to_owned(), chunk.first_step));
+    }
+}
+
+#[tokio::test]
+async fn an_observer_is_told_of_each_chunk_once_and_by_the_store_that_has_it() {
+    let spool = Spool::new(BOUNDS);
+    let told = Arc::new(Told::default());
+    spool.observe(told.clone());
+    for step in 0..3 {
+        assert!(pushed(&spool, step, 1).await);
+    }
+    for (store, seq) in [("a", 0), ("a", 1), ("b", 0)] {
+        assert!(sent(&spool, store, seq).is_some());
+    }
+    for (store, durable) in [("b", 1), ("a", 1), ("a", 1), ("a", 2)] {
+        spool.acknowledge(store, durable).expect("it was sent");
+    }
+    let expected = [("b", 2), ("a", 0), ("a", 1)].map(|(store, step)| (store.to_owned(), step));
+    assert_eq!(*told.0.lock().expect("nobody panicked"), expected);
 }

@@ -3,8 +3,10 @@
 
 #[cfg(feature = "torch")]
 mod actor;
+mod frames;
 #[cfg(feature = "torch")]
 mod learner;
+mod load;
 #[cfg(feature = "torch")]
 mod machine;
 mod replay;
@@ -22,6 +24,11 @@ pub(crate) enum BenchCommand {
     Actor(actor::ActorBenchArgs),
     /// Insertion and sampling through a replay-server, beside what memory, loopback and disk can do
     Replay(replay::ReplayBenchArgs),
+    /// Synthetic actors against replay-servers and a learner's door: how many they hold, and how fast policies spread
+    Load(Box<load::LoadArgs>),
+    /// The learner's door of the load generator
+    #[command(hide = true)]
+    LoadDoor(load::DoorArgs),
     /// One process of the replay benchmark
     #[command(hide = true)]
     ReplayPart(replay::PartArgs),
@@ -35,6 +42,8 @@ pub(crate) fn run(command: &BenchCommand) -> anyhow::Result<()> {
         #[cfg(feature = "torch")]
         BenchCommand::Actor(args) => actor::run(args),
         BenchCommand::Replay(args) => replay::run(args),
+        BenchCommand::Load(args) => load::run(args),
+        BenchCommand::LoadDoor(args) => load::run_door(args),
         BenchCommand::ReplayPart(args) => replay::run_part(args),
     }
 }

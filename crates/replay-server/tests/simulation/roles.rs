@@ -64,7 +64,7 @@ pub(crate) async fn server(folder: PathBuf) -> Ended {
             },
             limiter: LIMITER,
             relay_policy: None,
-            dialer: isodream_rpc::Dialer::default(),
+            dialer: Dialer::default(),
             tables: vec![ServedTable {
                 table: Table::new("train", Selector::Episodes),
                 limited: true,

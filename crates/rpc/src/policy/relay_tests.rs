@@ -58,7 +58,10 @@ async fn reports_and_questions_reach_the_learner() {
     };
     let mut client = Dialer::default().learner(&relay.address).unwrap();
     client.report_episode(report.clone()).await.unwrap();
-    assert_eq!(*desk.reports.lock().unwrap(), [report.clone()]);
+    assert_eq!(
+        desk.reports.lock().unwrap().as_slice(),
+        std::slice::from_ref(&report)
+    );
     let status = client.status(v1::LearnerStatusRequest {}).await.unwrap();
     assert_eq!(status.into_inner().phase, "training");
 

@@ -1,7 +1,6 @@
 //! `isodream bench replay`: insertion and sampling through a real replay-server, in processes of their own.
 
-mod frames;
-mod part;
+pub(super) mod part;
 mod probes;
 mod sampler;
 mod server;

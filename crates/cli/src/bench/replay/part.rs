@@ -5,12 +5,14 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 use anyhow::{Context, ensure};
 use clap::{Args, ValueEnum};
-use isodream_core::EnvSpec;
+use isodream_core::config::EnvConfig;
+use isodream_core::{EnvSpec, Steps};
 use isodream_proto::Identity;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::{sampler, server, writer};
+use crate::bench::frames;
 use crate::output::print;
 
 /// What all processes have to know.
@@ -37,6 +39,36 @@ impl Work {
     /// Bytes of a raw step: picture, action and reward.
     pub(super) fn step_bytes(&self) -> usize {
         3 * self.image_size * self.image_size + 4 * self.action_dim + 4
+    }
+
+    /// What the sequences are of: the environment's pictures, beside as many actions as the benchmark wants.
+    pub(super) fn spec(&self) -> anyhow::Result<EnvSpec> {
+        let spec = isodream_envs::spec(&self.env()).context("--environment")?;
+        Ok(EnvSpec {
+            action_dim: self.action_dim,
+            ..spec
+        })
+    }
+
+    /// The episodes that are written.
+    pub(super) fn record(&self) -> anyhow::Result<Vec<Steps>> {
+        frames::episodes(
+            &self.env(),
+            self.action_dim,
+            self.episodes,
+            self.episode_steps,
+        )
+    }
+
+    fn env(&self) -> EnvConfig {
+        let control = self.environment.starts_with("dmc/");
+        EnvConfig {
+            id: self.environment.clone(),
+            image_size: self.image_size,
+            action_repeat: if control { 2 } else { 4 },
+            time_limit: self.episode_steps as u32 + 1,
+            ..EnvConfig::default()
+        }
     }
 
     pub(super) fn identity(&self, spec: &EnvSpec) -> Identity {
@@ -81,7 +113,7 @@ pub(crate) fn run(args: &PartArgs) -> anyhow::Result<()> {
 }
 
 /// Answers every line of standard input, the first answer being without a question, until it ends.
-pub(super) fn answer<T: Serialize>(
+pub(in crate::bench) fn answer<T: Serialize>(
     ready: &impl Serialize,
     mut asked: impl FnMut(&str) -> anyhow::Result<T>,
 ) -> anyhow::Result<()> {
@@ -93,7 +125,7 @@ pub(super) fn answer<T: Serialize>(
 }
 
 /// A running part; it ends when this is dropped.
-pub(super) struct Part {
+pub(in crate::bench) struct Part {
     child: Child,
     input: Option<ChildStdin>,
     output: BufReader<ChildStdout>,
@@ -102,8 +134,15 @@ pub(super) struct Part {
 impl Part {
     pub(super) fn start(role: Role, work: &Work) -> anyhow::Result<Self> {
         let role = role.to_possible_value().context("a role has no name")?;
+        Self::spawn(&["replay-part", "--role", role.get_name()], work)
+    }
+
+    /// Starts a hidden command of `isodream bench` that takes its `work` as JSON.
+    pub(in crate::bench) fn spawn(command: &[&str], work: &impl Serialize) -> anyhow::Result<Self> {
         let mut child = Command::new(std::env::current_exe()?)
-            .args(["bench", "replay-part", "--role", role.get_name(), "--work"])
+            .arg("bench")
+            .args(command)
+            .arg("--work")
             .arg(serde_json::to_string(work)?)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
@@ -118,12 +157,16 @@ impl Part {
         })
     }
 
-    pub(super) fn ask(&mut self, question: &str) -> anyhow::Result<()> {
+    pub(in crate::bench) fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    pub(in crate::bench) fn ask(&mut self, question: &str) -> anyhow::Result<()> {
         let input = self.input.as_mut().context("a process has no input")?;
         writeln!(input, "{question}").context("a process of the benchmark ended")
     }
 
-    pub(super) fn hear<T: DeserializeOwned>(&mut self) -> anyhow::Result<T> {
+    pub(in crate::bench) fn hear<T: DeserializeOwned>(&mut self) -> anyhow::Result<T> {
         let mut line = String::new();
         self.output.read_line(&mut line)?;
         ensure!(!line.is_empty(), "a process of the benchmark ended");

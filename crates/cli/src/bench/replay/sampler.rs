@@ -9,8 +9,8 @@ use isodream_core::codec::{Decoder, Rows};
 use isodream_rpc::{Dialer, SampleClient, SampleOptions, SampledSequence};
 
 use super::part::{Done, Work, answer};
+use super::probes;
 use super::server::TABLE;
-use super::{frames, probes};
 
 /// Memory of a batch.
 struct Batch {
@@ -73,7 +73,7 @@ fn draw(
                 SampleOptions {
                     addresses: vec![work.address.clone()],
                     table: TABLE.to_owned(),
-                    identity: work.identity(&frames::spec(work)?),
+                    identity: work.identity(&work.spec()?),
                     sequence_length: work.batch_length as u32,
                     seed: 1,
                     prefetch: work.prefetch_batches * work.batch_size,

@@ -7,13 +7,14 @@ use isodream_rpc::limits::FAILOVER_AFTER;
 use isodream_rpc::{AppendClient, AppendOptions, Dialer};
 
 use super::part::{Done, Work, answer};
-use super::{frames, probes};
+use super::probes;
+use crate::bench::frames;
 
 /// Longer than any disk takes for a spool.
 const FLUSH_DEADLINE: Duration = Duration::from_secs(60);
 
 pub(super) fn run(work: &Work) -> anyhow::Result<()> {
-    let episodes = frames::episodes(work)?;
+    let episodes = work.record()?;
     let runtime = tokio::runtime::Runtime::new()?;
     let client = {
         let _inside = runtime.enter();
@@ -21,7 +22,7 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
             &Dialer::default(),
             AppendOptions {
                 addresses: vec![work.address.clone()],
-                identity: work.identity(&frames::spec(work)?),
+                identity: work.identity(&work.spec()?),
                 actor_id: "bench".to_owned(),
                 epoch: 1,
                 spool_chunks: work.spool_chunks,
@@ -58,18 +59,15 @@ fn send(
     episode_id: u64,
     chunk_steps: usize,
 ) -> anyhow::Result<()> {
-    for first in (0..episode.len).step_by(chunk_steps) {
-        let last = episode.len.min(first + chunk_steps);
-        let mut steps = Steps::new(episode.image_bytes, episode.action_dim);
-        steps.extend(episode, first..last);
+    for (first_step, steps) in frames::chunks(episode, chunk_steps) {
         client.send_blocking(Chunk {
             actor_id: String::new(),
             epoch: 0,
             seq: 0,
             episode_id,
-            first_step: first as u32,
+            first_step,
             steps: steps.len as u32,
-            ends_episode: last == episode.len,
+            ends_episode: first_step as usize + steps.len == episode.len,
             payload: codec::encode(&steps),
         })?;
     }
