@@ -9,6 +9,7 @@ use anyhow::{Context, bail};
 use clap::Args;
 use isodream_rpc::Role;
 use rand::distr::{Alphanumeric, SampleString};
+use rand::rand_core::UnwrapErr;
 use rand::rngs::SysRng;
 use rcgen::{
     BasicConstraints, CertificateParams, CertifiedIssuer, DistinguishedName, DnType,
@@ -69,8 +70,7 @@ pub(crate) fn run(args: &SecretsArgs) -> anyhow::Result<()> {
     }
     let mut tokens = String::from("# ROLE TOKEN\n");
     for role in Role::ALL {
-        let token =
-            Alphanumeric.sample_string(&mut rand::rand_core::UnwrapErr(SysRng), TOKEN_LENGTH);
+        let token = random(TOKEN_LENGTH);
         tokens += &format!("{role} {token}\n");
         write(dir, &format!("{role}.token"), &format!("{token}\n"))?;
     }
@@ -87,7 +87,9 @@ pub(crate) fn run(args: &SecretsArgs) -> anyhow::Result<()> {
 }
 
 fn authority(days: u16) -> anyhow::Result<CertifiedIssuer<'static, KeyPair>> {
-    let mut params = params("isodream authority", Vec::new(), days)?;
+    // Certificates name their authority, and are to be told from those of another folder.
+    let name = format!("isodream authority {}", random(8));
+    let mut params = params(&name, Vec::new(), days)?;
     params.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
     params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
     Ok(CertifiedIssuer::self_signed(params, KeyPair::generate()?)?)
@@ -128,4 +130,9 @@ fn write(dir: &Path, name: &str, text: &str) -> anyhow::Result<()> {
         .open(&path)
         .and_then(|mut file| file.write_all(text.as_bytes()))
         .with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// Letters and digits from the system's source of randomness.
+fn random(length: usize) -> String {
+    Alphanumeric.sample_string(&mut UnwrapErr(SysRng), length)
 }
