@@ -13,6 +13,7 @@
 
 pub mod checkpoint;
 mod progress;
+mod run_lock;
 mod sampling;
 mod saver;
 mod service;

@@ -1,9 +1,8 @@
 //! The training loop.
 
-use std::fs::{File, TryLockError};
 use std::path::Path;
 use std::sync::Arc;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail, ensure};
 use isodream_core::derive_seed;
@@ -20,6 +19,7 @@ use tokio_util::sync::CancellationToken;
 use crate::LearnerOptions;
 use crate::checkpoint::{Checkpoint, Counters};
 use crate::progress::Progress;
+use crate::run_lock::lock;
 use crate::sampling::{BatchShape, BatchStream, StagedBatch};
 use crate::saver::Saver;
 use crate::service::Desk;
@@ -52,7 +52,7 @@ pub enum Finished {
 /// not finite. The last good checkpoint is kept.
 pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow::Result<Finished> {
     let listener = isodream_rpc::bind(&options.listen, &options.door).await?;
-    let _lock = lock(&options.run_dir)?;
+    let (_lock, learner_epoch) = lock(&options.run_dir)?;
     let config = &options.config;
     let checkpoint = Checkpoint::load_newest(&options.run_dir.join("checkpoints"))?;
     if let Some(checkpoint) = &checkpoint {
@@ -69,11 +69,6 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
         counters.env_frames,
         config.env.action_repeat,
     ));
-    // Milliseconds since 1970: greater at every start, which is all an epoch must be.
-    let learner_epoch = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .context("the clock stands before 1970")?
-        .as_millis() as u64;
     let publisher = PolicyPublisher::default();
     let identity = Identity::new(&options.spec, config.model_hash());
     tracing::info!(
@@ -104,6 +99,7 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
         identity,
         sequence_length: config.learner.batch_length as u32,
         table: config.learner.table.clone(),
+        learner_epoch,
         seed: derive_seed(config.seed, &["sample", &counters.updates.to_string()]),
         prefetch: config.learner.batch_size * config.learner.prefetch_batches,
         sampled_steps: counters.sampled_steps.clone(),
@@ -153,25 +149,6 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
     let finished = finished?;
     served??;
     Ok(finished)
-}
-
-/// Makes the run directory this learner's alone for as long as the returned file is open: two of them would
-/// overwrite each other's checkpoints and metrics.
-fn lock(run_dir: &Path) -> anyhow::Result<File> {
-    let path = run_dir.join(".learner.lock");
-    std::fs::create_dir_all(run_dir)
-        .with_context(|| format!("cannot create {}", run_dir.display()))?;
-    let file = File::create(&path).with_context(|| format!("cannot create {}", path.display()))?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(TryLockError::WouldBlock) => bail!(
-            "{} is in use by another learner; stop it or choose another --run-dir",
-            run_dir.display()
-        ),
-        Err(TryLockError::Error(error)) => {
-            Err(error).with_context(|| format!("cannot lock {}", path.display()))
-        }
-    }
 }
 
 /// Refuses a checkpoint of another environment or model, by name.

@@ -13,7 +13,7 @@ use tonic::{Status, Streaming};
 
 use crate::append::is_unreadable;
 use crate::errors::service_error;
-use crate::state::{State, stopping};
+use crate::state::{Reign, State, stopping};
 
 /// Sequences read by one blocking task.
 const READ_GROUP: usize = 8;
@@ -34,11 +34,12 @@ pub(crate) struct Drawer {
 
 type Replies = mpsc::Sender<Result<SampleReply, Status>>;
 
-/// Serves a stream whose hello was accepted.
+/// Serves a stream whose hello was accepted, until a newer learner comes.
 pub(crate) fn start(
     state: Arc<State>,
     requests: Streaming<SampleRequest>,
     drawer: Drawer,
+    reign: Reign,
     waiting_credits: u32,
 ) -> mpsc::Receiver<Result<SampleReply, Status>> {
     let (replies, outbound) = mpsc::channel(REPLIES_AHEAD);
@@ -59,6 +60,7 @@ pub(crate) fn start(
         let result = tokio::select! {
             result = stream.run(requests) => result,
             () = stop.cancelled() => Err(stopping()),
+            fenced = reign.end() => Err(fenced),
             () = replies.closed() => Ok(()),
         };
         if let Err(error) = result {

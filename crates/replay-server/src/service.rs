@@ -18,7 +18,7 @@ use tonic::{Request, Response, Status, Streaming};
 use crate::commit::{Command, answered};
 use crate::errors::service_error;
 use crate::sample::Drawer;
-use crate::state::State;
+use crate::state::{Reign, State};
 use crate::{append, sample};
 
 pub(crate) struct ReplayServer {
@@ -76,7 +76,7 @@ impl ReplayServer {
         answered(next_seq).await
     }
 
-    async fn drawer(&self, hello: &SampleHello) -> Result<Drawer, ServiceError> {
+    async fn drawer(&self, hello: &SampleHello) -> Result<(Drawer, Reign), ServiceError> {
         self.check(hello.handshake.as_ref()).await?;
         self.state.check_store(&hello.store_id)?;
         let served = self.state.tables.find(&hello.table)?;
@@ -88,10 +88,13 @@ impl ReplayServer {
             .map_err(|error| ServiceError::Internal(format!("preparing a table failed: {error}")))?
             .map_err(|error| service_error(&error))?;
         let limited = served.limited;
+        let reign = self
+            .state
+            .admit_learner(if limited { hello.learner_epoch } else { 0 })?;
         if limited {
             self.state.learner_connected(&sampler, hello.sampled_steps);
         }
-        Ok(Drawer { sampler, limited })
+        Ok((Drawer { sampler, limited }, reign))
     }
 }
 
@@ -142,7 +145,7 @@ impl ReplayService for ReplayServer {
         let Some(sample_request::Kind::Hello(hello)) = first(&mut requests).await?.kind else {
             return Err(ServiceError::from(Mismatch::Missing).into());
         };
-        let drawer = self.drawer(&hello).await.inspect_err(|error| {
+        let (drawer, reign) = self.drawer(&hello).await.inspect_err(|error| {
             tracing::warn!(?peer, %error, "refused a learner");
         })?;
         tracing::info!(
@@ -152,7 +155,13 @@ impl ReplayService for ReplayServer {
             sampled_steps = hello.sampled_steps,
             "learner connected"
         );
-        let replies = sample::start(self.state.clone(), requests, drawer, hello.waiting_credits);
+        let replies = sample::start(
+            self.state.clone(),
+            requests,
+            drawer,
+            reign,
+            hello.waiting_credits,
+        );
         Ok(Response::new(ReceiverStream::new(replies)))
     }
 

@@ -5,11 +5,40 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use isodream_proto::v1::ReplayStatus;
 use isodream_replay::{Draw, LimiterOptions, RateLimiter, Sampler, SequenceRef, Store};
 use isodream_rpc::ServiceError;
-use tokio::sync::{Notify, mpsc};
+use tokio::sync::{Notify, mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
 use crate::commit::Command;
 use crate::tables::Tables;
+
+/// How long a learner may draw: until a newer one comes.
+pub(crate) struct Reign {
+    epoch: u64,
+    newest: watch::Receiver<u64>,
+}
+
+impl Reign {
+    fn is_over(&self) -> bool {
+        self.epoch != 0 && *self.newest.borrow() > self.epoch
+    }
+
+    /// Waits for its end, and says why.
+    pub(crate) async fn end(mut self) -> ServiceError {
+        while !self.is_over() {
+            if self.newest.changed().await.is_err() {
+                return stopping();
+            }
+        }
+        fenced()
+    }
+}
+
+fn fenced() -> ServiceError {
+    ServiceError::Refused(
+        "a newer learner of this run draws from here and has fenced this one off; stop one of them"
+            .to_owned(),
+    )
+}
 
 pub(crate) struct State {
     pub(crate) store: Store,
@@ -24,6 +53,8 @@ pub(crate) struct State {
     stall: Mutex<Option<String>>,
     /// The newest learner's of a limited table; none before the first one connects.
     learner: Mutex<Option<Sampler>>,
+    /// Epoch of the newest learner whose draws count.
+    learner_epoch: watch::Sender<u64>,
 }
 
 impl State {
@@ -46,6 +77,7 @@ impl State {
             stop,
             stall: Mutex::new(None),
             learner: Mutex::new(None),
+            learner_epoch: watch::Sender::new(0),
         }
     }
 
@@ -58,6 +90,23 @@ impl State {
             "this is the store {}, not {wanted}; connect again",
             self.store_id
         )))
+    }
+
+    /// Fences off all learners older than this one; 0 stays out of that.
+    pub(crate) fn admit_learner(&self, epoch: u64) -> Result<Reign, ServiceError> {
+        let reign = Reign {
+            epoch,
+            newest: self.learner_epoch.subscribe(),
+        };
+        self.learner_epoch.send_if_modified(|newest| {
+            let is_newer = epoch > *newest;
+            *newest = epoch.max(*newest);
+            is_newer
+        });
+        match reign.is_over() {
+            true => Err(fenced()),
+            false => Ok(reign),
+        }
     }
 
     /// Hands a command to the commit thread; waits while its queue is full.

@@ -26,6 +26,9 @@ pub struct SampleOptions {
     pub sequence_length: u32,
     /// The servers' table to draw from.
     pub table: String,
+    /// Greater than at any earlier start of the run's learner: older ones are fenced off from limited tables. 0 takes
+    /// no part in that.
+    pub learner_epoch: u64,
     /// Seed of the draws.
     pub seed: u64,
     /// Sequences on their way or buffered at most; at least one batch, and more than there are servers.

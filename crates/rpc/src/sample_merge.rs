@@ -207,6 +207,7 @@ impl SampleMerge {
             store_id: store_id.to_string(),
             table: self.options.table.clone(),
             waiting_credits: WAITING_CREDITS,
+            learner_epoch: self.options.learner_epoch,
         };
         // Room is certain: the queue is new.
         let _ = requests.try_send(request(Kind::Hello(hello)));

@@ -24,6 +24,7 @@ impl Bench {
             },
             sequence_length: 5,
             table: "train".into(),
+            learner_epoch: 0,
             seed: 1,
             prefetch: PREFETCH,
             sampled_steps: BTreeMap::from([("store-a".to_owned(), 100)]),

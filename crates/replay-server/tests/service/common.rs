@@ -168,6 +168,7 @@ pub(crate) fn sampling(address: &str, sequence_length: u32) -> SampleOptions {
         identity: identity("highway/day"),
         sequence_length,
         table: "train".into(),
+        learner_epoch: 0,
         seed: 1,
         prefetch: 4,
         sampled_steps: BTreeMap::new(),

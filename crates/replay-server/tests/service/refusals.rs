@@ -7,7 +7,7 @@ use crate::common::{
 };
 use isodream_proto::v1::{AppendRequest, Hello, append_request::Kind};
 use isodream_replay::LimiterOptions;
-use isodream_rpc::{AppendClient, AppendOptions, RpcError, SampleClient};
+use isodream_rpc::{AppendClient, AppendOptions, Dialer, RpcError, SampleClient, SampleOptions};
 use tonic::Code;
 
 #[test]
@@ -21,7 +21,7 @@ fn another_environment_is_refused_by_name() {
         first.flush(DEADLINE).await.unwrap();
 
         let other = AppendClient::start(
-            &isodream_rpc::Dialer::default(),
+            &Dialer::default(),
             AppendOptions {
                 identity: identity("walker/walk"),
                 actor_id: "actor-1".into(),
@@ -46,12 +46,55 @@ fn another_environment_is_refused_by_name() {
 
         let mut options = sampling(&server.address, 5);
         options.identity = identity("walker/walk");
-        let mut learner = SampleClient::start(&isodream_rpc::Dialer::default(), options).unwrap();
+        let mut learner = SampleClient::start(&Dialer::default(), options).unwrap();
         let error = tokio::time::timeout(DEADLINE, learner.next())
             .await
             .unwrap()
             .unwrap_err();
         assert!(error.to_string().contains("walker/walk"), "{error}");
+    });
+    server.stop().unwrap();
+}
+
+#[test]
+fn an_older_learner_is_fenced_off_in_mid_stream_and_at_the_door() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(folder.path(), NO_LIMIT);
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    runtime.block_on(async {
+        let actor = actor(&server.address, 1, 4);
+        actor.send(chunk(0)).await.unwrap();
+        actor.flush(DEADLINE).await.unwrap();
+        let started = |learner_epoch| {
+            let options = SampleOptions {
+                learner_epoch,
+                ..sampling(&server.address, 5)
+            };
+            SampleClient::start(&Dialer::default(), options).unwrap()
+        };
+        let fenced = async |learner: &mut SampleClient| {
+            let refused = async {
+                loop {
+                    if let Err(error) = learner.next().await {
+                        return error.to_string();
+                    }
+                }
+            };
+            let words = tokio::time::timeout(DEADLINE, refused).await.unwrap();
+            assert!(words.contains("a newer learner"), "{words}");
+        };
+        let mut first = started(1);
+        first.next().await.unwrap();
+        let mut aside = started(0);
+        let mut second = started(2);
+        second.next().await.unwrap();
+        fenced(&mut first).await;
+        fenced(&mut started(1)).await;
+        // The newest goes on, and so does who takes no part in it.
+        for _ in 0..20 {
+            second.next().await.unwrap();
+            aside.next().await.unwrap();
+        }
     });
     server.stop().unwrap();
 }
@@ -166,9 +209,7 @@ fn a_gap_is_answered_with_the_expected_number() {
         };
         let kinds = [Kind::Hello(hello), numbered(0), numbered(1), numbered(5)];
         let requests = tokio_stream::iter(kinds.map(|kind| AppendRequest { kind: Some(kind) }));
-        let mut client = isodream_rpc::Dialer::default()
-            .replay(&server.address)
-            .unwrap();
+        let mut client = Dialer::default().replay(&server.address).unwrap();
         let mut replies = client.append(requests).await.unwrap().into_inner();
         let mut durable_seq = 0;
         let status = loop {
@@ -191,9 +232,7 @@ fn a_stream_without_a_hello_is_refused() {
     let server = Server::start(folder.path(), NO_LIMIT);
     let runtime = tokio::runtime::Runtime::new().unwrap();
     runtime.block_on(async {
-        let mut client = isodream_rpc::Dialer::default()
-            .replay(&server.address)
-            .unwrap();
+        let mut client = Dialer::default().replay(&server.address).unwrap();
         let kind = Some(Kind::Chunk(chunk(0).into()));
         let status = client
             .append(tokio_stream::iter([AppendRequest { kind }]))
@@ -271,7 +310,7 @@ fn a_folder_in_use_is_named() {
         store: isodream_replay::StoreOptions::default(),
         limiter: NO_LIMIT,
         relay_policy: None,
-        dialer: isodream_rpc::Dialer::default(),
+        dialer: Dialer::default(),
         tables: Vec::new(),
         door: isodream_rpc::Door::default(),
     };

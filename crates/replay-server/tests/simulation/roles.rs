@@ -162,6 +162,7 @@ pub(crate) async fn learner(seed: u64, shared: Shared) -> Ended {
         identity: identity(),
         sequence_length: LENGTH,
         table: "train".into(),
+        learner_epoch: 0,
         seed,
         prefetch: PREFETCH,
         sampled_steps,

@@ -21,6 +21,7 @@ pub(super) fn sampling(
         identity: identity.clone(),
         sequence_length: config.learner.batch_length as u32,
         table: config.learner.table.clone(),
+        learner_epoch: 0,
         seed: index,
         prefetch: config.learner.batch_size * config.learner.prefetch_batches,
         sampled_steps: BTreeMap::new(),

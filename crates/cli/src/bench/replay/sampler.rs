@@ -75,6 +75,7 @@ fn draw(
                     table: TABLE.to_owned(),
                     identity: work.identity(&work.spec()?),
                     sequence_length: work.batch_length as u32,
+                    learner_epoch: 0,
                     seed: 1,
                     prefetch: work.prefetch_batches * work.batch_size,
                     sampled_steps: BTreeMap::new(),
