@@ -9,7 +9,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use isodream_core::{Chunk, EpisodeId};
+use isodream_core::EpisodeId;
 use serde::Serialize;
 
 use crate::folder::{self, StoreIdentity};
@@ -17,7 +17,7 @@ use crate::ledger::Ledger;
 use crate::record::Entry;
 use crate::recover::{list_segments, read_whole};
 use crate::scan::{self, Piece, Quarantined};
-use crate::segment::{ChunkRef, Segment};
+use crate::segment::Segment;
 use crate::{LogPosition, Progress, ReplayError};
 
 /// What [`inspect`] found.
@@ -170,39 +170,8 @@ pub fn verify(folder: &Path) -> Result<Verification, ReplayError> {
     Ok(report)
 }
 
-/// The chunk that holds `step` of `episode_id`; none where the store does not.
-///
-/// # Errors
-/// As [`inspect`], and [`ReplayError::Damaged`] where the chunk is there but cannot be read.
-pub fn find_chunk(
-    folder: &Path,
-    episode_id: EpisodeId,
-    step: u32,
-) -> Result<Option<Chunk>, ReplayError> {
-    let mut found = None;
-    read(folder, Depth::Headers, &mut |segment, _, pieces| {
-        for (range, entry) in good(&pieces) {
-            if let Entry::Chunk(chunk) = entry
-                && chunk.episode_id == episode_id
-                && (chunk.first_step..chunk.first_step + chunk.steps).contains(&step)
-            {
-                let place = ChunkRef {
-                    segment: segment.clone(),
-                    offset: range.start,
-                    frame_bytes: (range.end - range.start) as u32,
-                    first_step: chunk.first_step,
-                    steps: chunk.steps,
-                };
-                found = Some(place.read()?);
-            }
-        }
-        Ok(())
-    })?;
-    Ok(found)
-}
-
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Depth {
+pub(crate) enum Depth {
     /// Payloads of closed segments are not looked at.
     Headers,
     Everything,
@@ -228,7 +197,7 @@ fn lengths(episodes: &BTreeMap<EpisodeId, Episode>) -> impl Iterator<Item = u64>
     episodes.values().map(|episode| episode.steps)
 }
 
-fn good(pieces: &[Piece]) -> impl Iterator<Item = (&std::ops::Range<u64>, &Entry)> {
+pub(crate) fn good(pieces: &[Piece]) -> impl Iterator<Item = (&std::ops::Range<u64>, &Entry)> {
     pieces.iter().filter_map(|piece| match piece {
         Piece::Good { range, entry, .. } => Some((range, entry)),
         Piece::Bad { .. } => None,
@@ -236,15 +205,21 @@ fn good(pieces: &[Piece]) -> impl Iterator<Item = (&std::ops::Range<u64>, &Entry
 }
 
 #[derive(Default)]
-struct Tail {
+pub(crate) struct Tail {
     damage: Vec<Quarantined>,
     unfinished_bytes: u64,
 }
 
 /// Takes every segment with its length in bytes and what is in it.
-type Visit<'a> = dyn FnMut(&Arc<Segment>, u64, Vec<Piece>) -> Result<(), ReplayError> + 'a;
+pub(crate) type Visit<'a> =
+    dyn FnMut(&Arc<Segment>, u64, Vec<Piece>) -> Result<(), ReplayError> + 'a;
 
-fn read(folder: &Path, depth: Depth, visit: &mut Visit<'_>) -> Result<Tail, ReplayError> {
+/// Reads the segments one after the other.
+pub(crate) fn read(
+    folder: &Path,
+    depth: Depth,
+    visit: &mut Visit<'_>,
+) -> Result<Tail, ReplayError> {
     folder::read_format(folder)?;
     // Before the segments: what is durable at this moment is in them.
     let durable = folder::read_durable(folder)?;

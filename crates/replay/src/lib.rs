@@ -14,6 +14,7 @@
 //! opened, a damaged payload when it is read.
 
 mod capacity;
+mod contents;
 mod error;
 mod failpoint;
 mod folder;
@@ -33,14 +34,13 @@ mod table;
 mod writer;
 
 pub use capacity::Capacity;
+pub use contents::{find_chunk, for_each_chunk};
 pub use error::ReplayError;
 pub use folder::StoreIdentity;
 pub use index::{
     Index, IndexStats, IndexedChunk, PriorityCounts, PriorityUpdate, Sequence, ViewHandle,
 };
-pub use inspect::{
-    EpisodeSummary, Inspection, SegmentSummary, Verification, find_chunk, inspect, verify,
-};
+pub use inspect::{EpisodeSummary, Inspection, SegmentSummary, Verification, inspect, verify};
 pub use ledger::{Outcome, Progress};
 pub use limiter::{Draw, LimiterOptions, RateLimiter};
 pub use log::{Appended, DurablePosition, LogPosition, SegmentLog, WrittenPosition};

@@ -7,7 +7,8 @@ use std::path::Path;
 
 use isodream_core::Chunk;
 use isodream_replay::{
-    Capacity, Store, StoreIdentity, StoreOptions, StoreWriter, find_chunk, inspect, verify,
+    Capacity, ReplayError, Store, StoreIdentity, StoreOptions, StoreWriter, find_chunk,
+    for_each_chunk, inspect, verify,
 };
 
 const OPTIONS: StoreOptions = StoreOptions {
@@ -121,4 +122,26 @@ fn a_chunk_is_found_by_episode_and_step() {
     }
     assert_eq!(find_chunk(folder.path(), 6, 20).unwrap(), None);
     assert_eq!(find_chunk(folder.path(), 99, 0).unwrap(), None);
+}
+
+#[test]
+fn every_chunk_is_read_in_order_and_a_damaged_one_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    drop(filled(folder.path()));
+    let mut seen = Vec::new();
+    for_each_chunk::<ReplayError>(folder.path(), |chunk| {
+        seen.push(chunk);
+        Ok(())
+    })
+    .unwrap();
+    assert!(!seen.is_empty());
+    let expected: Vec<_> = (0..seen.len() as u64).map(chunk).collect();
+    assert_eq!(seen, expected);
+
+    let damaged = inspect(folder.path()).unwrap().segments.remove(1).path;
+    let mut bytes = fs::read(&damaged).unwrap();
+    *bytes.last_mut().unwrap() ^= 1;
+    fs::write(&damaged, bytes).unwrap();
+    let error = for_each_chunk::<ReplayError>(folder.path(), |_| Ok(())).unwrap_err();
+    assert!(matches!(error, ReplayError::Damaged { .. }), "{error}");
 }
