@@ -23,6 +23,7 @@ const LAYERS: &[&[&str]] = &[
         "isodream-learner",
     ],
     &["isodream"],
+    &["isodream-chaos"],
     &["isodream-tests"],
 ];
 /// Free of libtorch, so that they build fast and run where it is not.
@@ -34,6 +35,7 @@ const WITHOUT_TORCH: &[&str] = &[
     "isodream-rpc",
     "isodream-telemetry",
     "isodream-replay-server",
+    "isodream-chaos",
     "xtask",
 ];
 const TORCH: &[&str] = &["tch", "torch-sys"];

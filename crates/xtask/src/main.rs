@@ -1,7 +1,8 @@
-//! What one types in this repository: `cargo xtask setup | ci | test | fuzz | demo | bench | image | deploy`.
+//! What one types in this repository: `cargo xtask setup | ci | test | fuzz | chaos | demo | bench | image | deploy`.
 //!
 //! Needs neither native libraries nor network to build, because it is what fetches the libraries.
 
+mod chaos;
 mod ci;
 mod deploy;
 mod deps;
@@ -47,6 +48,12 @@ enum Command {
         #[arg(long, default_value_t = 60)]
         seconds: u64,
     },
+    /// Inject faults into trainings that run for real: `chaos list`, `chaos run [NAME..]`.
+    Chaos {
+        /// Passed on to chaos.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        args: Vec<String>,
+    },
     /// Build in release mode and train the quick preset in runs/demo.
     Demo {
         /// Passed on to isodream train.
@@ -89,6 +96,7 @@ fn run_command(command: Command) -> Result<()> {
         Command::Ci => ci::ci(&root),
         Command::Test { args } => run::test(&root, &args),
         Command::Fuzz { seconds } => run::fuzz(&root, seconds),
+        Command::Chaos { args } => chaos::chaos(&root, &args),
         Command::Demo { args } => run::demo(&root, &args),
         Command::Bench(Bench::Peer(args)) => peer::peer(&root, &args),
         Command::Image(args) => image::image(&root, &args),

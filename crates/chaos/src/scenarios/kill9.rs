@@ -1,0 +1,164 @@
+//! `kill -9` in random order under load.
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, bail};
+use rand::seq::{IndexedRandom, SliceRandom};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::checkpoint::numbered;
+use super::{Context, RECOVERY, finish, inserts_into, rollback};
+use crate::cluster::Cluster;
+use crate::interrupt;
+use crate::plan::Plan;
+use crate::table::Row;
+use crate::watch::Inserts;
+
+/// Failures after which going on shows nothing new.
+const ENOUGH: usize = 5;
+
+/// How long a checkpoint may be waited for.
+const NEXT_CHECKPOINT: Duration = Duration::from_secs(60);
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Victim {
+    Actor,
+    Learner,
+    LearnerInCheckpoint,
+    Replay,
+}
+
+pub(super) fn run(context: &Context) -> Result<Vec<Row>> {
+    let plan = Plan::usual(&["learner.checkpoint_interval=10"]);
+    let (replays, actors, ledgers) = (plan.replays, plan.actors, plan.ledgers);
+    let cluster = Cluster::start(&context.binary, plan)?;
+    interrupt::until(
+        "there is a checkpoint to go on from",
+        NEXT_CHECKPOINT,
+        || Ok(numbered(&cluster.checkpoints())?.pop()),
+    )?;
+    let mut random = ChaCha8Rng::seed_from_u64(context.seed);
+    let mut order = Vec::new();
+    for kill in 0..context.kills {
+        order.extend([Victim::Actor, Victim::Replay]);
+        order.push(if kill % 2 == 0 {
+            Victim::LearnerInCheckpoint
+        } else {
+            Victim::Learner
+        });
+    }
+    order.shuffle(&mut random);
+    let mut rows = [
+        Row::new(
+            "kill -9 of an actor",
+            "SIGKILL, under load, in random order with those below",
+        ),
+        Row::new("kill -9 of the learner", "the same"),
+        Row::new(
+            "kill -9 of the learner in mid-checkpoint",
+            "the same, while its temporary folder is there",
+        ),
+        Row::new("kill -9 of a replay-server", "the same"),
+    ];
+    let actors: Vec<String> = (0..actors)
+        .map(|n| format!("actor-{n}"))
+        .chain((0..ledgers).map(|n| format!("ledger-{n}")))
+        .collect();
+    let (mut partial, count) = (0, order.len());
+    for (number, victim) in order.into_iter().enumerate() {
+        let row = &mut rows[victim as usize];
+        row.tried += 1;
+        let recovered = match victim {
+            Victim::Actor => {
+                let name = actors.choose(&mut random).map_or("actor-0", String::as_str);
+                kill_actor(&cluster, name)
+            }
+            Victim::Learner => kill_learner(&cluster).map(|(secs, _)| secs),
+            Victim::LearnerInCheckpoint => wait_for_partial(&cluster.checkpoints())
+                .and_then(|()| kill_learner(&cluster))
+                .map(|(secs, in_checkpoint)| {
+                    partial += u32::from(in_checkpoint);
+                    secs
+                }),
+            Victim::Replay => kill_replay(&cluster, random.random_range(0..replays)),
+        };
+        row.recovered(recovered);
+        eprintln!(
+            "chaos: kill {} of {count}: {victim:?}, recovered in {:.1} s",
+            number + 1,
+            row.recovery_secs.last().copied().unwrap_or(f64::NAN)
+        );
+        if rows.iter().map(|row| row.failures.len()).sum::<usize>() >= ENOUGH {
+            break;
+        }
+        interrupt::sleep(Duration::from_millis(random.random_range(0..1000)))?;
+    }
+    rows[2]
+        .notes
+        .push(format!("{partial} of them left a temporary folder behind"));
+    let (begun, rollback) = (cluster.begun(), rollback(&cluster));
+    finish(cluster, begun, rollback, &mut rows)?;
+    Ok(rows.into())
+}
+
+/// Kills an actor; it is back when a replay-server greets its next process.
+pub(super) fn kill_actor(cluster: &Cluster, name: &str) -> Result<f64> {
+    let lane = if name.starts_with("ledger") { "-0" } else { "" };
+    let words = format!("actor connected actor={name}{lane} ");
+    let mark = cluster.mark();
+    let at = Instant::now();
+    cluster.role(name)?.kill()?;
+    cluster.line(&mark, "replay", &words, RECOVERY)?;
+    let back = at.elapsed().as_secs_f64();
+    Ok(back.max(cluster.watch.recovery(at, Inserts::Any, RECOVERY)?))
+}
+
+/// Seconds until it trains again, and whether it left an unfinished checkpoint behind.
+pub(super) fn kill_learner(cluster: &Cluster) -> Result<(f64, bool)> {
+    let mark = cluster.mark();
+    let at = Instant::now();
+    cluster.role("learner")?.kill()?;
+    let in_checkpoint = has_partial(&cluster.checkpoints());
+    let seconds = cluster.watch.recovery(at, Inserts::Any, RECOVERY)?;
+    cluster.line(&mark, "learner", "resumed from checkpoint", RECOVERY)?;
+    Ok((seconds, in_checkpoint))
+}
+
+pub(super) fn kill_replay(cluster: &Cluster, index: usize) -> Result<f64> {
+    let name = format!("replay-{index}");
+    let mark = cluster.mark();
+    let inserts = inserts_into(cluster, index);
+    let at = Instant::now();
+    cluster.role(&name)?.kill()?;
+    let seconds = cluster.watch.recovery(at, inserts, RECOVERY)?;
+    cluster.line(&mark, &name, "serving replay", RECOVERY)?;
+    let lost = format!(
+        "connection lost, trying again peer=replay-server {}",
+        cluster.layout.replays[index]
+    );
+    cluster.line(&mark, "learner", &lost, RECOVERY)?;
+    Ok(seconds)
+}
+
+/// Waits until the learner begins to write a checkpoint.
+fn wait_for_partial(checkpoints: &Path) -> Result<()> {
+    let begun = Instant::now();
+    while begun.elapsed() < NEXT_CHECKPOINT {
+        if has_partial(checkpoints) {
+            return Ok(());
+        }
+        std::thread::sleep(Duration::from_micros(200));
+    }
+    bail!("the learner began no checkpoint within {NEXT_CHECKPOINT:?}");
+}
+
+fn has_partial(checkpoints: &Path) -> bool {
+    let Ok(entries) = std::fs::read_dir(checkpoints) else {
+        return false;
+    };
+    entries
+        .flatten()
+        .any(|entry| entry.file_name().to_string_lossy().ends_with(".partial"))
+}
