@@ -1,6 +1,5 @@
 //! The training loop.
 
-use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 

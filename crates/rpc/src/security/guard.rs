@@ -19,7 +19,7 @@ use super::tokens::Grant;
 /// Whoever watches over servers need not be known to them.
 const HEALTH: &str = "/grpc.health.v1.Health/";
 
-/// Puts a [`Guard`] before a service.
+/// Puts the check of tokens and limits before a service.
 #[derive(Debug, Clone)]
 pub struct GuardLayer(Arc<Rules>);
 
