@@ -10,6 +10,9 @@ use tokio::net::TcpStream;
 /// How long metrics may take.
 const DEADLINE: Duration = Duration::from_secs(10);
 
+/// What every replay-server's metrics have from its start.
+const SERVER_METRIC: &str = "replay_inserted_steps_total";
+
 /// Groups of chunks that were written and synced since a server started.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Commits {
@@ -28,6 +31,12 @@ pub(super) struct CommitLoad {
 }
 
 impl Commits {
+    const NONE: Self = Self {
+        count: 0.0,
+        seconds: 0.0,
+        chunks: 0.0,
+    };
+
     /// Asks the metrics at `address`.
     pub(super) async fn read(address: &str) -> anyhow::Result<Self> {
         let asking = async {
@@ -46,6 +55,10 @@ impl Commits {
     }
 
     fn parse(text: &str) -> anyhow::Result<Self> {
+        // A server that has committed nothing yet has its other metrics alone.
+        if !text.contains("replay_commit_") && text.contains(SERVER_METRIC) {
+            return Ok(Self::NONE);
+        }
         let value = |name: &str| -> anyhow::Result<f64> {
             let value = text
                 .lines()
@@ -64,12 +77,7 @@ impl Commits {
 impl CommitLoad {
     /// Between the first and the second of each pair.
     pub(super) fn between(pairs: impl Iterator<Item = (Commits, Commits)>, seconds: f64) -> Self {
-        let zero = Commits {
-            count: 0.0,
-            seconds: 0.0,
-            chunks: 0.0,
-        };
-        let sum = pairs.fold(zero, |sum, (before, after)| Commits {
+        let sum = pairs.fold(Commits::NONE, |sum, (before, after)| Commits {
             count: sum.count + after.count - before.count,
             seconds: sum.seconds + after.seconds - before.seconds,
             chunks: sum.chunks + after.chunks - before.chunks,
@@ -102,6 +110,9 @@ mod tests {
         let load = CommitLoad::between([(read, later)].into_iter(), 2.0);
         assert_eq!((load.per_s, load.chunks_each), (5.0, 2.0));
         assert!((load.ms_each - 10.0).abs() < 1e-9, "{load:?}");
+        let idle = Commits::parse("replay_inserted_steps_total 0\n").unwrap();
+        assert_eq!((idle.count, idle.seconds, idle.chunks), (0.0, 0.0, 0.0));
+        Commits::parse("HTTP/1.1 404 Not Found\r\n").unwrap_err();
         let error = Commits::parse(&text.replace("chunks_sum", "x")).unwrap_err();
         assert!(error.to_string().contains("replay_commit_chunks_sum"));
     }
