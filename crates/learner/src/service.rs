@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use isodream_proto::{Identity, v1};
-use isodream_rpc::{PolicyDesk, PolicyPublisher, PolicyWatch, ServiceError};
+use isodream_rpc::{PolicyDesk, PolicyPublisher, PolicyWatch};
 use tonic::Status;
 
 use crate::progress::Progress;
@@ -21,10 +21,7 @@ impl PolicyDesk for Desk {
     }
 
     async fn admit(&self, request: &v1::WatchPolicyRequest) -> Result<PolicyWatch, Status> {
-        self.identity
-            .check(request.handshake.as_ref())
-            .map_err(ServiceError::from)?;
-        Ok(self.publisher.watch())
+        self.publisher.watch_for(&self.identity, request)
     }
 
     async fn report(&self, report: v1::EpisodeReport) -> Result<(), Status> {

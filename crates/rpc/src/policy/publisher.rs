@@ -3,10 +3,12 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
-use isodream_proto::v1;
+use isodream_proto::{Identity, v1};
 use sha2::{Digest, Sha256};
 use tokio::sync::watch;
 use tonic::Status;
+
+use crate::ServiceError;
 
 /// A published policy.
 #[derive(Debug, Clone, PartialEq)]
@@ -98,6 +100,21 @@ impl PolicyPublisher {
             shelf.withdrawals += 1;
             shelf.why = Some(why);
         });
+    }
+
+    /// [`PolicyPublisher::watch`] for a peer that works on the same as `identity`.
+    ///
+    /// # Errors
+    /// A refusal (`FAILED_PRECONDITION`) that names what differs.
+    pub fn watch_for(
+        &self,
+        identity: &Identity,
+        request: &v1::WatchPolicyRequest,
+    ) -> Result<PolicyWatch, Status> {
+        identity
+            .check(request.handshake.as_ref())
+            .map_err(ServiceError::from)?;
+        Ok(self.watch())
     }
 
     /// Watches the policies from the newest on.

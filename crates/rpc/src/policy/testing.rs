@@ -15,7 +15,7 @@ use tonic::Status;
 use super::follow::{KeepPolicies, follow_policy};
 use super::publisher::{Policy, PolicyPublisher, PolicyWatch};
 use super::service::{PolicyDesk, policy_service};
-use crate::{Dialer, Door, ServiceError, bind, serve, server};
+use crate::{Dialer, Door, bind, serve, server};
 
 /// Longer than anything here takes on a busy machine.
 pub(super) const DEADLINE: Duration = Duration::from_secs(30);
@@ -79,10 +79,7 @@ impl PolicyDesk for Desk {
     async fn admit(&self, request: &v1::WatchPolicyRequest) -> Result<PolicyWatch, Status> {
         let visitor = request.actor_id.clone();
         self.visitors.lock().unwrap().push(visitor);
-        self.identity
-            .check(request.handshake.as_ref())
-            .map_err(ServiceError::from)?;
-        Ok(self.publisher.watch())
+        self.publisher.watch_for(&self.identity, request)
     }
 
     async fn report(&self, report: v1::EpisodeReport) -> Result<(), Status> {

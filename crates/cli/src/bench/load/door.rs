@@ -4,9 +4,7 @@ use anyhow::Context;
 use bytes::Bytes;
 use clap::Args;
 use isodream_proto::{Identity, v1};
-use isodream_rpc::{
-    Door, Policy, PolicyDesk, PolicyPublisher, PolicyWatch, ServiceError, policy_service,
-};
+use isodream_rpc::{Door, Policy, PolicyDesk, PolicyPublisher, PolicyWatch, policy_service};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -49,10 +47,7 @@ impl PolicyDesk for Desk {
     }
 
     async fn admit(&self, request: &v1::WatchPolicyRequest) -> Result<PolicyWatch, Status> {
-        self.identity
-            .check(request.handshake.as_ref())
-            .map_err(ServiceError::from)?;
-        Ok(self.publisher.watch())
+        self.publisher.watch_for(&self.identity, request)
     }
 
     async fn report(&self, _: v1::EpisodeReport) -> Result<(), Status> {
