@@ -6,7 +6,8 @@ use isodream_core::{Chunk, EpisodeId, Step, Steps, codec, derive_seed};
 #[derive(Debug)]
 pub(crate) struct ChunkBuilder {
     actor_id: String,
-    epoch: u64,
+    /// Drawn when the process started, so that no episode of another process has the same name.
+    entropy: u64,
     environment: usize,
     chunk_steps: usize,
     episodes: u64,
@@ -18,7 +19,7 @@ pub(crate) struct ChunkBuilder {
 impl ChunkBuilder {
     pub(crate) fn new(
         actor_id: &str,
-        epoch: u64,
+        entropy: u64,
         environment: usize,
         chunk_steps: usize,
         image_bytes: usize,
@@ -26,7 +27,7 @@ impl ChunkBuilder {
     ) -> Self {
         Self {
             actor_id: actor_id.to_owned(),
-            epoch,
+            entropy,
             environment,
             chunk_steps,
             episodes: 0,
@@ -45,7 +46,7 @@ impl ChunkBuilder {
     pub(crate) fn push(&mut self, step: &Step) -> Option<Chunk> {
         if step.is_first {
             self.episode_id = derive_seed(
-                self.epoch,
+                self.entropy,
                 &[
                     "episode",
                     &self.actor_id,
@@ -74,8 +75,8 @@ impl ChunkBuilder {
         self.first_step += steps.len as u32;
         Some(Chunk {
             actor_id: self.actor_id.clone(),
-            epoch: self.epoch,
             // The append client counts the chunks of all environments.
+            epoch: 0,
             seq: 0,
             episode_id: self.episode_id,
             first_step,

@@ -1,7 +1,7 @@
 //! The collecting actor: a vector of environments, sampled actions, every step appended to replay.
 
 use std::sync::Arc;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use anyhow::Context;
 use isodream_rpc::limits::FAILOVER_AFTER;
@@ -37,23 +37,17 @@ pub async fn run(options: ActorOptions, shutdown: CancellationToken) -> anyhow::
         &identity,
         &options.actor_id,
     )?;
-    // Milliseconds since 1970: greater at every start, which is all an epoch must be.
-    let epoch = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .context("the clock stands before 1970")?
-        .as_millis() as u64;
     let appending = AppendOptions {
         addresses: options.replay.clone(),
         identity,
         actor_id: options.actor_id.clone(),
-        epoch,
         spool_chunks: options.config.actor.spool_chunks,
         spool_bytes: options.config.actor.spool_mb << 20,
         failover_after: FAILOVER_AFTER,
     };
     let append = Arc::new(AppendClient::start(&options.dialer, appending)?);
 
-    let collector = Collector::new(options, environments, epoch)?;
+    let collector = Collector::new(options, environments)?;
     let (sending, stop) = (append.clone(), shutdown.clone());
     let collecting = tokio::task::spawn_blocking(move || collector.run(&sending, &link, &stop));
     tokio::pin!(collecting);

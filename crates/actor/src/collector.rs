@@ -10,6 +10,7 @@ use isodream_envs::{Driver, EnvError, Environment, RandomDriver, VectorEnvironme
 use isodream_model::Actions;
 use isodream_proto::v1;
 use isodream_rpc::{AppendClient, Policy, RpcError};
+use rand::RngExt;
 use tokio_util::sync::CancellationToken;
 
 use crate::failures::Failures;
@@ -26,7 +27,8 @@ pub(crate) struct Collector {
     environments: VectorEnvironment,
     lanes: Vec<Lane>,
     random: RandomDriver,
-    epoch: u64,
+    /// Drawn at the start: everything random of this process follows from it.
+    entropy: u64,
     failures: Failures,
 }
 
@@ -37,24 +39,32 @@ impl Collector {
     pub(crate) fn new(
         options: ActorOptions,
         environments: Vec<Box<dyn Environment>>,
-        epoch: u64,
     ) -> anyhow::Result<Self> {
         let config = &options.config;
+        let entropy: u64 = rand::rng().random();
         // No other episode of the run has the seeds that follow from this one.
         let seed = derive_seed(
             config.seed,
-            &["collect", &options.actor_id, &epoch.to_string()],
+            &["collect", &options.actor_id, &entropy.to_string()],
         );
         let threads = usize::try_from(config.actor.threads).unwrap_or(1);
         let threads = NonZeroUsize::new(threads).unwrap_or(NonZeroUsize::MIN);
         let environments = VectorEnvironment::new(environments, seed, threads)?;
-        let lane = |index| Lane::new(&options.actor_id, epoch, index, config, environments.spec());
+        let lane = |index| {
+            Lane::new(
+                &options.actor_id,
+                entropy,
+                index,
+                config,
+                environments.spec(),
+            )
+        };
         Ok(Self {
             lanes: (0..environments.len()).map(lane).collect(),
-            random: RandomDriver::new(derive_seed(epoch, &["random", &options.actor_id])),
+            random: RandomDriver::new(derive_seed(entropy, &["random", &options.actor_id])),
             environments,
             options,
-            epoch,
+            entropy,
             failures: Failures::default(),
         })
     }
@@ -66,7 +76,7 @@ impl Collector {
         shutdown: &CancellationToken,
     ) -> anyhow::Result<()> {
         tch::set_num_threads(self.options.config.actor.threads);
-        tch::manual_seed(derive_seed(self.epoch, &["noise", &self.options.actor_id]) as i64);
+        tch::manual_seed(derive_seed(self.entropy, &["noise", &self.options.actor_id]) as i64);
         let mut policy = None;
         self.begin(shutdown)?;
         while !shutdown.is_cancelled() {

@@ -23,7 +23,7 @@ impl Lane {
     /// A lane that waits for [`Lane::begin`].
     pub(crate) fn new(
         actor_id: &str,
-        epoch: u64,
+        entropy: u64,
         environment: usize,
         config: &Config,
         spec: &EnvSpec,
@@ -31,7 +31,7 @@ impl Lane {
         Self {
             builder: ChunkBuilder::new(
                 actor_id,
-                epoch,
+                entropy,
                 environment,
                 config.replay.chunk_steps,
                 spec.image.bytes(),

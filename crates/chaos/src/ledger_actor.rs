@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use anyhow::{Context, Result};
 use clap::Args;
@@ -59,7 +59,6 @@ pub(crate) async fn run(args: LedgerActorArgs) -> Result<()> {
     let shutdown = shutdown_on_signal()?;
     stop_with_parent(&shutdown)?;
     let ledger = Arc::new(LedgerFile::open(&args.ledger)?);
-    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH)?;
     let mut lanes = tokio::task::JoinSet::new();
     for lane in 0..args.lanes {
         let actor_id = format!("{}-{lane}", args.id);
@@ -69,7 +68,6 @@ pub(crate) async fn run(args: LedgerActorArgs) -> Result<()> {
                 addresses: args.replay.clone(),
                 identity: Identity::new(&spec, ""),
                 actor_id: actor_id.clone(),
-                epoch: since_1970.as_millis() as u64,
                 spool_chunks: config.actor.spool_chunks,
                 spool_bytes: config.actor.spool_mb << 20,
                 failover_after: FAILOVER_AFTER,
@@ -79,7 +77,7 @@ pub(crate) async fn run(args: LedgerActorArgs) -> Result<()> {
         let lane = Lane {
             spec: spec.clone(),
             actor_id,
-            epoch: since_1970.as_millis() as u64,
+            entropy: rand::rng().random(),
             chunk_steps: config.replay.chunk_steps as u32,
             client,
         };
@@ -107,7 +105,8 @@ fn stop_with_parent(shutdown: &CancellationToken) -> Result<()> {
 struct Lane {
     spec: EnvSpec,
     actor_id: String,
-    epoch: u64,
+    /// Names the episodes of this process.
+    entropy: u64,
     chunk_steps: u32,
     client: AppendClient,
 }
@@ -137,7 +136,10 @@ impl Lane {
     }
 
     async fn episode(&self, number: u64) -> Result<()> {
-        let episode_id = derive_seed(self.epoch, &["ledger", &self.actor_id, &number.to_string()]);
+        let episode_id = derive_seed(
+            self.entropy,
+            &["ledger", &self.actor_id, &number.to_string()],
+        );
         let rows = self.spec.time_limit + 1;
         let mut first_step = 0;
         while first_step < rows {

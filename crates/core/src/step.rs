@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 
-/// Identifies an episode in a store: derived from actor, epoch and a counter, so that no coordination is needed.
+/// Identifies an episode in a store: derived from what an actor drew at its start and a counter, so that no coordination is needed.
 pub type EpisodeId = u64;
 
 /// Row `t` of an episode: an observation and what led to it.
@@ -101,7 +101,7 @@ impl Steps {
 pub struct Chunk {
     /// Who collected it.
     pub actor_id: String,
-    /// Grows with every start of the actor.
+    /// Grows with every start of the actor; handed out by the first store that it reaches.
     pub epoch: u64,
     /// Counts the chunks of one epoch from 0 without gaps.
     pub seq: u64,

@@ -11,7 +11,7 @@ use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 use tonic::{Code, Status, Streaming};
 
-use crate::commit::{Command, Submission};
+use crate::commit::{Command, Position, Submission};
 use crate::state::{Admission, State, stopping};
 
 /// How long a stream that ended at shutdown is read on.
@@ -59,14 +59,14 @@ impl Progress {
     }
 }
 
-/// Serves a stream whose hello was answered with `next_seq`.
+/// Serves a stream that begins at `position`.
 pub(crate) fn start(
     state: Arc<State>,
     requests: Streaming<AppendRequest>,
-    next_seq: u64,
+    position: Position,
     actor_id: String,
-    epoch: u64,
 ) -> mpsc::Receiver<Result<AppendReply, Status>> {
+    let Position { epoch, next_seq } = position;
     let (news, changes) = watch::channel(News {
         durable_seq: next_seq,
         ..News::default()
@@ -74,7 +74,7 @@ pub(crate) fn start(
     let over = CancellationToken::new();
     let (replies, outbound) = mpsc::channel(1);
     let stop = state.stop.clone();
-    tokio::spawn(tell(changes, replies, over.clone(), stop));
+    tokio::spawn(tell(changes, epoch, replies, over.clone(), stop));
     let reader = Reader {
         state,
         progress: Arc::new(Progress { news, over }),
@@ -89,6 +89,7 @@ pub(crate) fn start(
 /// acknowledgement.
 async fn tell(
     mut changes: watch::Receiver<News>,
+    epoch: u64,
     replies: mpsc::Sender<Result<AppendReply, Status>>,
     over: CancellationToken,
     stop: CancellationToken,
@@ -100,6 +101,7 @@ async fn tell(
         let reply = AppendReply {
             durable_seq: news.durable_seq,
             waiting: news.waiting,
+            epoch,
         };
         if sent.as_ref() != Some(&reply) {
             sent = Some(reply.clone());

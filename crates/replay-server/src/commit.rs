@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use isodream_core::Chunk;
+use isodream_proto::v1::Hello;
 use isodream_replay::{Outcome, ReplayError, StoreIdentity, StoreWriter};
 use isodream_rpc::ServiceError;
 use tokio::sync::{mpsc, oneshot};
@@ -28,15 +29,21 @@ pub(crate) enum Command {
         offered: StoreIdentity,
         answer: oneshot::Sender<Result<StoreIdentity, ServiceError>>,
     },
-    /// An actor connects; the answer is the sequence number it has to send next.
+    /// An actor connects.
     Begin {
-        actor_id: String,
-        epoch: u64,
-        acknowledged_seq: u64,
-        answer: oneshot::Sender<Result<u64, ServiceError>>,
+        hello: Hello,
+        answer: oneshot::Sender<Result<Position, ServiceError>>,
     },
     /// Store a chunk and tell its stream.
     Store(Submission),
+}
+
+/// Where an actor's stream begins.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Position {
+    pub(crate) epoch: u64,
+    /// The sequence number that it has to send next.
+    pub(crate) next_seq: u64,
 }
 
 /// A chunk that the limiter admitted, and whom to tell what became of it.
@@ -124,15 +131,9 @@ impl Committer {
                         break;
                     }
                 }
-                Command::Begin {
-                    actor_id,
-                    epoch,
-                    acknowledged_seq,
-                    answer,
-                } => {
+                Command::Begin { hello, answer } => {
                     self.commit()?;
-                    let begun = self.writer.begin(&actor_id, epoch, acknowledged_seq);
-                    reply(answer, begun)?;
+                    reply(answer, self.begin(&hello))?;
                 }
                 Command::Identity { offered, answer } => {
                     let adopted = self.writer.adopt_identity(&offered);
@@ -142,6 +143,17 @@ impl Committer {
             next = self.queue.try_recv().ok();
         }
         self.commit()
+    }
+
+    fn begin(&mut self, hello: &Hello) -> Result<Position, ReplayError> {
+        let epoch = match hello.epoch {
+            0 => self.writer.epoch_for(&hello.actor_id, hello.process),
+            epoch => epoch,
+        };
+        let next_seq = self
+            .writer
+            .begin(&hello.actor_id, epoch, hello.acknowledged_seq)?;
+        Ok(Position { epoch, next_seq })
     }
 
     /// Stores what is pending, unless the disk is full and its pause is not over.

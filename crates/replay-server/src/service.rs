@@ -15,7 +15,7 @@ use tokio::sync::oneshot;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status, Streaming};
 
-use crate::commit::{Command, answered};
+use crate::commit::{Command, Position, answered};
 use crate::errors::service_error;
 use crate::sample::Drawer;
 use crate::state::{Reign, State};
@@ -62,18 +62,13 @@ impl ReplayServer {
         Ok(ours.check(handshake)?)
     }
 
-    async fn begin(&self, hello: &Hello) -> Result<u64, ServiceError> {
+    async fn begin(&self, hello: &Hello) -> Result<Position, ServiceError> {
         self.check(hello.handshake.as_ref()).await?;
         self.state.check_store(&hello.store_id)?;
-        let (answer, next_seq) = oneshot::channel();
-        let command = Command::Begin {
-            actor_id: hello.actor_id.clone(),
-            epoch: hello.epoch,
-            acknowledged_seq: hello.acknowledged_seq,
-            answer,
-        };
-        self.state.command(command).await?;
-        answered(next_seq).await
+        let (answer, position) = oneshot::channel();
+        let hello = hello.clone();
+        self.state.command(Command::Begin { hello, answer }).await?;
+        answered(position).await
     }
 
     async fn drawer(&self, hello: &SampleHello) -> Result<(Drawer, Reign), ServiceError> {
@@ -122,17 +117,12 @@ impl ReplayService for ReplayServer {
         let Some(append_request::Kind::Hello(hello)) = first(&mut requests).await?.kind else {
             return Err(ServiceError::from(Mismatch::Missing).into());
         };
-        let next_seq = self.begin(&hello).await.inspect_err(|error| {
+        let position = self.begin(&hello).await.inspect_err(|error| {
             tracing::warn!(actor = %hello.actor_id, epoch = hello.epoch, ?peer, %error, "refused an actor");
         })?;
-        tracing::info!(actor = %hello.actor_id, epoch = hello.epoch, next_seq, ?peer, "actor connected");
-        let replies = append::start(
-            self.state.clone(),
-            requests,
-            next_seq,
-            hello.actor_id,
-            hello.epoch,
-        );
+        let Position { epoch, next_seq } = position;
+        tracing::info!(actor = %hello.actor_id, epoch, next_seq, ?peer, "actor connected");
+        let replies = append::start(self.state.clone(), requests, position, hello.actor_id);
         Ok(Response::new(ReceiverStream::new(replies)))
     }
 

@@ -48,10 +48,12 @@ pub enum Outcome {
     },
 }
 
-/// Positions of all actors.
+/// Positions of all actors: epoch and next sequence number.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Ledger {
     positions: BTreeMap<String, (u64, u64)>,
+    /// The process that each actor's newest epoch was handed out to, as far as it happened since the store was opened.
+    processes: BTreeMap<String, (u64, u64)>,
 }
 
 impl Ledger {
@@ -77,6 +79,22 @@ impl Ledger {
         self.positions
             .insert(chunk.actor_id.clone(), (chunk.epoch, next_seq));
         Outcome::Stored { next_seq }
+    }
+
+    /// The epoch of a process that has none: `at_least`, or more where the actor had that already. A process that
+    /// asks again, because the answer was lost, gets the same.
+    pub(crate) fn epoch_for(&mut self, actor_id: &str, process: u64, at_least: u64) -> u64 {
+        let newest = self.positions.get(actor_id).map(|(epoch, _)| *epoch);
+        if let Some((known, epoch)) = self.processes.get(actor_id)
+            && *known == process
+            && process != 0
+            && Some(*epoch) == newest
+        {
+            return *epoch;
+        }
+        let epoch = newest.map_or(at_least, |newest| at_least.max(newest.saturating_add(1)));
+        self.processes.insert(actor_id.to_owned(), (process, epoch));
+        epoch
     }
 
     /// An actor's start or reconnection. Returns its position and whether that is news worth writing down.

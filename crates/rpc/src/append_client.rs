@@ -1,10 +1,11 @@
 //! Handing experience over, durably.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 use isodream_core::Chunk;
 use isodream_proto::Identity;
+use rand::RngExt;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
 use crate::append_link::Sender;
@@ -22,8 +23,6 @@ pub struct AppendOptions {
     pub identity: Identity,
     /// Stable name of the actor.
     pub actor_id: String,
-    /// Larger than at any earlier start of this actor, for example the start time: older ones are fenced off.
-    pub epoch: u64,
     /// Unacknowledged chunks kept at most; [`AppendClient::send`] waits when they are reached.
     pub spool_chunks: usize,
     /// Unacknowledged bytes kept at most, as chunks are encoded; a single chunk always has room.
@@ -46,11 +45,12 @@ pub struct AppendOptions {
 /// if that server never returns while this client lives; of all servers that are away, they are never more than
 /// one spool.
 /// An episode that is running at that moment is split, and the second server's part begins in its middle.
-/// Older processes of the same actor are fenced off at the server that the new one uses.
+/// The first server that a client reaches hands out its epoch, greater than any before of this actor, so that no
+/// clock of an actor's machine counts. Older processes of the same actor are fenced off at the server that the new
+/// one uses.
 #[derive(Debug)]
 pub struct AppendClient {
     actor_id: String,
-    epoch: u64,
     peers: String,
     spool: Arc<Spool>,
     current: Arc<Mutex<Arc<LinkState>>>,
@@ -77,11 +77,12 @@ impl AppendClient {
         let current = Arc::new(Mutex::new(Arc::new(LinkState::new(&peers))));
         let ending = Arc::new(Ending::default());
         let cancel = CancellationToken::new();
-        let (actor_id, epoch) = (options.actor_id.clone(), options.epoch);
+        let actor_id = options.actor_id.clone();
         let sender = Sender {
             identity: options.identity,
             actor_id: options.actor_id,
-            epoch: options.epoch,
+            process: rand::rng().random(),
+            epoch: OnceLock::new(),
         };
         let route = AppendRoute::new(
             dialer.clone(),
@@ -102,7 +103,6 @@ impl AppendClient {
         });
         Ok(Self {
             actor_id,
-            epoch,
             peers,
             spool,
             current,
@@ -114,7 +114,7 @@ impl AppendClient {
 
     /// Hands a chunk over; waits while the spool is full, which is what pauses the environments.
     ///
-    /// Fills in the chunk's `actor_id`, `epoch` and `seq`. Dropping the future before it is done hands
+    /// Fills in the chunk's `actor_id`; its `epoch` and `seq` follow when it is sent. Dropping the future before it is done hands
     /// nothing over.
     ///
     /// # Errors
@@ -122,7 +122,6 @@ impl AppendClient {
     /// [`RpcError::Closed`] after [`AppendClient::close`].
     pub async fn send(&self, mut chunk: Chunk) -> Result<(), RpcError> {
         chunk.actor_id.clone_from(&self.actor_id);
-        chunk.epoch = self.epoch;
         if self.spool.push(chunk).await {
             return Ok(());
         }

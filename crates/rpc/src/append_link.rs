@@ -1,6 +1,6 @@
 //! One replay-server of an [`crate::AppendClient`].
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use isodream_core::Chunk;
@@ -22,11 +22,14 @@ use crate::{ReplayClient, RpcError, is_refusal, reconnect_delays};
 const IN_FLIGHT_CHUNKS: usize = 4;
 
 /// Who sends: the same on every link of a client.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct Sender {
     pub(crate) identity: Identity,
     pub(crate) actor_id: String,
-    pub(crate) epoch: u64,
+    /// Drawn at the start.
+    pub(crate) process: u64,
+    /// Handed out by the first store that answers.
+    pub(crate) epoch: OnceLock<u64>,
 }
 
 /// What a link is for.
@@ -130,9 +133,10 @@ impl AppendLink {
         let hello = Hello {
             handshake: Some(self.sender.identity.handshake()),
             actor_id: self.sender.actor_id.clone(),
-            epoch: self.sender.epoch,
+            epoch: self.sender.epoch.get().copied().unwrap_or(0),
             acknowledged_seq,
             store_id: store_id.clone(),
+            process: self.sender.process,
         };
         let (outbound, requests) = mpsc::channel(IN_FLIGHT_CHUNKS);
         // Room is certain: the queue is new.
@@ -168,7 +172,9 @@ impl AppendLink {
             first,
         } = opened;
         self.state.connected();
+        let epoch = *self.sender.epoch.get_or_init(|| first.epoch);
         let is_current = matches!(self.purpose, Purpose::Current(_));
+        let take = is_current.then_some(epoch);
         if is_current {
             let given_up = self.spool.turn_to(&store_id);
             if given_up > 0 {
@@ -191,7 +197,7 @@ impl AppendLink {
                     Some(reply) => self.answered(&store_id, &reply, acknowledged_seq, progressed)?,
                     None => return Ok(None),
                 },
-                next = self.next_chunk(&outbound, &mut changes, &store_id, next_seq) => match next {
+                next = self.next_chunk(&outbound, &mut changes, &store_id, next_seq, take) => match next {
                     Some((room, chunk)) => {
                         room.send(request(Kind::Chunk(chunk.into())));
                         next_seq += 1;
@@ -211,8 +217,8 @@ impl AppendLink {
         changes: &mut watch::Receiver<()>,
         store_id: &str,
         seq: u64,
+        take: Option<u64>,
     ) -> Option<(mpsc::Permit<'a, AppendRequest>, Chunk)> {
-        let take = matches!(self.purpose, Purpose::Current(_));
         let room = outbound.reserve().await.ok()?;
         loop {
             changes.borrow_and_update();

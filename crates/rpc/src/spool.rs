@@ -117,18 +117,18 @@ impl Spool {
         given_up
     }
 
-    /// Chunk `seq` of `store`, if it is not acknowledged. With `take`, the next one that was not sent anywhere
-    /// becomes the store's where it is the one asked for.
-    pub(crate) fn get(&self, store: &str, seq: u64, take: bool) -> Option<Chunk> {
+    /// Chunk `seq` of `store`, if it is not acknowledged. With `take`, the epoch of its sender, the next one that was
+    /// not sent anywhere becomes the store's where it is the one asked for.
+    pub(crate) fn get(&self, store: &str, seq: u64, take: Option<u64>) -> Option<Chunk> {
         let mut guard = self.lock();
         let inner = &mut *guard;
         let outbox = inner.outboxes.entry(store.to_owned()).or_default();
         let index = seq.checked_sub(outbox.first_seq())?;
-        if take
+        if let Some(epoch) = take
             && seq == outbox.next_seq
             && let Some(mut chunk) = inner.unsent.pop_front()
         {
-            chunk.seq = seq;
+            (chunk.epoch, chunk.seq) = (epoch, seq);
             outbox.next_seq += 1;
             outbox.chunks.push_back(chunk);
         }

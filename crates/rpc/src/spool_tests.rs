@@ -10,7 +10,7 @@ const BOUNDS: Bounds = Bounds {
 fn chunk(step: u32, bytes: usize) -> Chunk {
     Chunk {
         actor_id: "actor".into(),
-        epoch: 1,
+        epoch: 0,
         seq: 0,
         episode_id: 1,
         first_step: step,
@@ -28,7 +28,8 @@ async fn pushed(spool: &Spool, step: u32, bytes: usize) -> bool {
 }
 
 fn sent(spool: &Spool, store: &str, seq: u64) -> Option<(u64, u32)> {
-    let chunk = spool.get(store, seq, true)?;
+    let chunk = spool.get(store, seq, Some(3))?;
+    assert_eq!(chunk.epoch, 3, "its sender's");
     Some((chunk.seq, chunk.first_step))
 }
 

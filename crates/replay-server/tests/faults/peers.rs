@@ -65,15 +65,13 @@ fn half_dead_peers_keep_nobody_out_and_a_stopped_learner_costs_bounded_memory() 
     });
 }
 
-/// An actor of epoch 0 that says hello and nothing more; what keeps its streams open.
+/// An actor that says hello and nothing more; what keeps its streams open.
 async fn hanging_actor(address: &str, number: u64) -> impl Sized {
     let (requests, outbound) = mpsc::channel(1);
     let hello = Hello {
         handshake: Some(identity().handshake()),
         actor_id: format!("actor-{number}"),
-        epoch: 0,
-        acknowledged_seq: 0,
-        store_id: String::new(),
+        ..Hello::default()
     };
     let kind = Some(append_request::Kind::Hello(hello));
     requests.send(AppendRequest { kind }).await.unwrap();

@@ -177,7 +177,6 @@ pub(crate) fn actor(address: &str, number: u64) -> AppendClient {
             addresses: vec![address.to_owned()],
             identity: identity(),
             actor_id: format!("actor-{number}"),
-            epoch: 1,
             spool_chunks: 4,
             spool_bytes: usize::MAX,
             failover_after: FAILOVER_AFTER,

@@ -142,20 +142,19 @@ pub(crate) fn identity(id: &str) -> Identity {
     Identity::new(&spec(id), "")
 }
 
-pub(crate) fn actor(address: &str, epoch: u64, spool_chunks: usize) -> AppendClient {
+pub(crate) fn actor(address: &str, spool_chunks: usize) -> AppendClient {
     AppendClient::start(
         &isodream_rpc::Dialer::default(),
-        appending(address, epoch, spool_chunks),
+        appending(address, spool_chunks),
     )
     .unwrap()
 }
 
-pub(crate) fn appending(address: &str, epoch: u64, spool_chunks: usize) -> AppendOptions {
+pub(crate) fn appending(address: &str, spool_chunks: usize) -> AppendOptions {
     AppendOptions {
         addresses: vec![address.to_owned()],
         identity: identity("highway/day"),
         actor_id: "actor-0".into(),
-        epoch,
         spool_chunks,
         spool_bytes: usize::MAX,
         failover_after: isodream_rpc::limits::FAILOVER_AFTER,

@@ -13,7 +13,7 @@ fn what_is_acknowledged_is_sampled_byte_for_byte() {
     let server = Server::start(folder.path(), NO_LIMIT);
     let runtime = tokio::runtime::Runtime::new().unwrap();
     runtime.block_on(async {
-        let actor = actor(&server.address, 1, 8);
+        let actor = actor(&server.address, 8);
         for index in 0..20 {
             actor.send(chunk(index)).await.unwrap();
         }
@@ -33,7 +33,7 @@ fn what_is_acknowledged_is_sampled_byte_for_byte() {
                 let index = u64::from(first / STEPS) + at as u64;
                 let mut sent = chunk(index);
                 sent.actor_id = "actor-0".into();
-                sent.epoch = 1;
+                sent.epoch = found.epoch;
                 sent.seq = index;
                 assert_eq!(*found, sent);
             }
@@ -68,7 +68,7 @@ fn a_server_that_dies_again_and_again_keeps_every_acknowledged_chunk_exactly_onc
     let server = Server::start(folder.path(), NO_LIMIT);
     let address = server.address.clone();
     let runtime = tokio::runtime::Runtime::new().unwrap();
-    let actor = runtime.block_on(async { actor(&address, 1, 8) });
+    let actor = runtime.block_on(async { actor(&address, 8) });
     let server = std::thread::scope(|scope| {
         let _end_the_sender = CloseOnDrop(&actor);
         let mut server = server;
@@ -138,7 +138,7 @@ fn an_actor_outlives_a_reset_of_the_store() {
     let server = Server::start(first.path(), NO_LIMIT);
     let address = server.address.clone();
     let runtime = tokio::runtime::Runtime::new().unwrap();
-    let actor = runtime.block_on(async { actor(&address, 1, 8) });
+    let actor = runtime.block_on(async { actor(&address, 8) });
     runtime.block_on(async {
         actor.send(chunk(0)).await.unwrap();
         actor.flush(DEADLINE).await.unwrap();
@@ -166,7 +166,7 @@ fn a_learner_goes_on_over_a_restart_with_its_count() {
     let address = server.address.clone();
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let mut learner = runtime.block_on(async {
-        let actor = actor(&address, 1, 8);
+        let actor = actor(&address, 8);
         for index in 0..6 {
             actor.send(chunk(index)).await.unwrap();
         }
@@ -207,7 +207,7 @@ fn pretraining_does_not_count() {
     let server = Server::start(folder.path(), limiter);
     let runtime = tokio::runtime::Runtime::new().unwrap();
     runtime.block_on(async {
-        let actor = actor(&server.address, 1, 8);
+        let actor = actor(&server.address, 8);
         actor.send(chunk(0)).await.unwrap();
         let mut options = sampling(&server.address, 10);
         options.unlimited_sequences = 9;

@@ -45,7 +45,7 @@ fn a_full_disk_holds_inserts_until_there_is_room_and_sampling_goes_on() {
     let filler = disk.path().join("filler");
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let sent = runtime.block_on(async {
-        let actor = actor(&server.address, 1, 8);
+        let actor = actor(&server.address, 8);
         for index in 0..20 {
             actor.send(chunk(index)).await.unwrap();
         }
@@ -80,7 +80,7 @@ fn a_full_disk_holds_inserts_until_there_is_room_and_sampling_goes_on() {
         // A newcomer is no worse off.
         let newcomer = AppendClient::start(&isodream_rpc::Dialer::default(), AppendOptions {
             actor_id: "newcomer".into(),
-            ..appending(&server.address, 1, 1)
+            ..appending(&server.address, 1)
         })
         .unwrap();
         newcomer.send(chunk(0)).await.unwrap();

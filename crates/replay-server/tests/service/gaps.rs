@@ -81,7 +81,7 @@ fn neither_side_catches_up_in_one_burst() {
     let server = Server::start(folder.path(), LIMITER);
     Runtime::new().unwrap().block_on(async {
         let inserted = || crate::experience::inserted_steps(&server.address);
-        let actor = actor(&server.address, 1, 2);
+        let actor = actor(&server.address, 2);
         let mut next = 0;
         // No learner: inserts wait as soon as more than the tolerance is due.
         fill(&actor, &mut next).await;

@@ -100,7 +100,7 @@ fn outlived(bad: impl AsyncFnOnce(&Server)) {
     let server = Server::start(folder.path(), NO_LIMIT);
     Runtime::new().unwrap().block_on(async {
         bad(&server).await;
-        let actor = actor(&server.address, 1, 8);
+        let actor = actor(&server.address, 8);
         actor.send(chunk(0)).await.unwrap();
         actor.flush(DEADLINE).await.unwrap();
         let inserted = crate::experience::inserted_steps(&server.address).await;

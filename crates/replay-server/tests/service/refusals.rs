@@ -16,7 +16,7 @@ fn another_environment_is_refused_by_name() {
     let server = Server::start(folder.path(), NO_LIMIT);
     let runtime = tokio::runtime::Runtime::new().unwrap();
     runtime.block_on(async {
-        let first = actor(&server.address, 1, 8);
+        let first = actor(&server.address, 8);
         first.send(chunk(0)).await.unwrap();
         first.flush(DEADLINE).await.unwrap();
 
@@ -25,7 +25,7 @@ fn another_environment_is_refused_by_name() {
             AppendOptions {
                 identity: identity("walker/walk"),
                 actor_id: "actor-1".into(),
-                ..appending(&server.address, 1, 1)
+                ..appending(&server.address, 1)
             },
         )
         .unwrap();
@@ -62,7 +62,7 @@ fn an_older_learner_is_fenced_off_in_mid_stream_and_at_the_door() {
     let server = Server::start(folder.path(), NO_LIMIT);
     let runtime = tokio::runtime::Runtime::new().unwrap();
     runtime.block_on(async {
-        let actor = actor(&server.address, 1, 4);
+        let actor = actor(&server.address, 4);
         actor.send(chunk(0)).await.unwrap();
         actor.flush(DEADLINE).await.unwrap();
         let started = |learner_epoch| {
@@ -110,7 +110,7 @@ fn the_limiter_holds_actors_and_says_why() {
     let server = Server::start(folder.path(), limiter);
     let runtime = tokio::runtime::Runtime::new().unwrap();
     runtime.block_on(async {
-        let actor = actor(&server.address, 1, 4);
+        let actor = actor(&server.address, 4);
         let mut learner = learner(&server.address, 10);
         let why = until("the learner waits for data", || {
             learner.waiting().filter(|why| why.contains("steps"))
@@ -161,28 +161,53 @@ fn an_older_process_of_the_same_actor_is_fenced_off() {
     let server = Server::start(folder.path(), NO_LIMIT);
     let runtime = tokio::runtime::Runtime::new().unwrap();
     runtime.block_on(async {
-        let old = actor(&server.address, 1, 8);
+        let old = actor(&server.address, 8);
         old.send(chunk(0)).await.unwrap();
         old.flush(DEADLINE).await.unwrap();
-        let new = actor(&server.address, 2, 8);
+        let new = actor(&server.address, 8);
         new.send(chunk(0)).await.unwrap();
         new.flush(DEADLINE).await.unwrap();
-        // On its open stream ...
         old.send(chunk(1)).await.unwrap();
         let error = old.flush(DEADLINE).await.unwrap_err();
         assert!(error.to_string().contains("fenced off"), "{error}");
-        // ... and on a new one.
-        let again = actor(&server.address, 1, 8);
-        again.send(chunk(2)).await.unwrap();
-        let error = again.flush(DEADLINE).await.unwrap_err();
-        assert!(
-            error
-                .to_string()
-                .contains("epoch 1 is fenced off by epoch 2"),
-            "{error}"
-        );
         new.send(chunk(1)).await.unwrap();
         new.flush(DEADLINE).await.unwrap();
+    });
+    server.stop().unwrap();
+}
+
+#[test]
+fn epochs_are_handed_out_by_the_store_and_an_older_one_is_refused_at_the_door() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(folder.path(), NO_LIMIT);
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    runtime.block_on(async {
+        let greet = async |epoch, process| {
+            let hello = Hello {
+                handshake: Some(identity("highway/day").handshake()),
+                actor_id: "actor-0".into(),
+                epoch,
+                process,
+                ..Hello::default()
+            };
+            let kind = Some(Kind::Hello(hello));
+            let requests = tokio_stream::iter([AppendRequest { kind }]);
+            let mut client = Dialer::default().replay(&server.address).unwrap();
+            let mut replies = client.append(requests).await?.into_inner();
+            Ok::<u64, tonic::Status>(replies.message().await?.expect("an answer").epoch)
+        };
+        let first = greet(0, 7).await.unwrap();
+        assert_eq!(greet(0, 7).await.unwrap(), first, "its answer was lost");
+        assert_eq!(greet(first, 7).await.unwrap(), first);
+        let second = greet(0, 8).await.unwrap();
+        assert!(second > first);
+        let error = greet(first, 7).await.unwrap_err();
+        let why = format!("epoch {first} is fenced off by epoch {second}");
+        assert!(error.message().contains(&why), "{error}");
+        // As if the store's clock had been set back.
+        let ahead = second + (1 << 40);
+        assert_eq!(greet(ahead, 9).await.unwrap(), ahead);
+        assert_eq!(greet(0, 10).await.unwrap(), ahead + 1);
     });
     server.stop().unwrap();
 }
@@ -197,8 +222,7 @@ fn a_gap_is_answered_with_the_expected_number() {
             handshake: Some(identity("highway/day").handshake()),
             actor_id: "actor-0".into(),
             epoch: 1,
-            acknowledged_seq: 0,
-            store_id: String::new(),
+            ..Hello::default()
         };
         let numbered = |seq| {
             let mut chunk = chunk(seq);
@@ -255,7 +279,7 @@ fn shutting_down_with_open_streams_takes_little_time_and_clients_keep_trying() {
     let address = server.address.clone();
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let (actor, learner) = runtime.block_on(async {
-        let actor = actor(&address, 1, 8);
+        let actor = actor(&address, 8);
         actor.send(chunk(0)).await.unwrap();
         actor.flush(DEADLINE).await.unwrap();
         let learner = learner(&address, 10);

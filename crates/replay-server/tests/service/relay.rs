@@ -85,7 +85,7 @@ async fn one_address_takes_experience_and_hands_on_policies() {
     ));
 
     let append =
-        isodream_rpc::AppendClient::start(&Dialer::default(), appending(&address, 1, 4)).unwrap();
+        isodream_rpc::AppendClient::start(&Dialer::default(), appending(&address, 4)).unwrap();
     append.send(chunk(0)).await.unwrap();
     append.flush(DEADLINE).await.unwrap();
     let (taken, mut policies) = mpsc::unbounded_channel();

@@ -46,7 +46,7 @@ fn an_actor_moves_to_the_next_server_and_no_step_is_lost_or_stored_twice() {
         .map(|server| server.as_ref().unwrap().address.clone());
     let runtime = Runtime::new().unwrap();
     let actor = runtime.block_on(async {
-        let mut options = appending("", 1, 8);
+        let mut options = appending("", 8);
         options.addresses = addresses.to_vec();
         options.failover_after = Duration::from_millis(300);
         AppendClient::start(&isodream_rpc::Dialer::default(), options).unwrap()
@@ -107,7 +107,7 @@ fn a_learner_draws_from_all_servers_and_from_those_that_are_left() {
     let runtime = Runtime::new().unwrap();
     let (mut learner, stores) = runtime.block_on(async {
         for (server, chunks) in servers.iter().zip([30, 10]) {
-            let actor = crate::common::actor(&server.address, 1, 8);
+            let actor = crate::common::actor(&server.address, 8);
             for index in 0..chunks {
                 actor.send(chunk(index)).await.unwrap();
             }
@@ -168,7 +168,7 @@ fn a_server_whose_limiter_waits_holds_nobody_up() {
     let runtime = Runtime::new().unwrap();
     runtime.block_on(async {
         for server in &servers {
-            let actor = crate::common::actor(&server.address, 1, 8);
+            let actor = crate::common::actor(&server.address, 8);
             actor.send(chunk(0)).await.unwrap();
             actor.send(chunk(1)).await.unwrap();
             actor.flush(DEADLINE).await.unwrap();

@@ -32,8 +32,7 @@ fn everything_stored_is_acknowledged_before_the_stream_ends() {
             handshake: Some(identity("highway/day").handshake()),
             actor_id: "actor-0".into(),
             epoch: 1,
-            acknowledged_seq: 0,
-            store_id: String::new(),
+            ..Hello::default()
         };
         let kind = Some(Kind::Hello(hello));
         requests.send(AppendRequest { kind }).await.unwrap();

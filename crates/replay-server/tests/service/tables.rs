@@ -12,7 +12,7 @@ fn learner(server: &Server, table: &str, length: u32) -> SampleClient {
 }
 
 async fn insert(server: &Server, chunks: u64) {
-    let actor = actor(&server.address, 1, 8);
+    let actor = actor(&server.address, 8);
     for index in 0..chunks {
         actor.send(chunk(index)).await.unwrap();
     }

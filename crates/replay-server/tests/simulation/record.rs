@@ -12,13 +12,13 @@ use isodream_rpc::SampledSequence;
 
 use crate::roles::{LENGTH, LIMITER, PREFETCH, SPOOL_CHUNKS, STEPS};
 
-/// A chunk by its actor, its epoch and its index there.
+/// A chunk by its actor, the actor's start and its index there.
 pub(crate) type Key = (usize, u64, u32);
 
 #[derive(Default)]
 pub(crate) struct Record {
-    /// The newest epoch of each actor.
-    pub(crate) epochs: BTreeMap<usize, u64>,
+    /// How often each actor was started.
+    pub(crate) starts: BTreeMap<usize, u64>,
     /// What was acknowledged to an actor.
     pub(crate) acknowledged: BTreeSet<Key>,
     /// What the learner has used, as its checkpoint would keep it.
@@ -31,22 +31,22 @@ pub(crate) struct Record {
 
 pub(crate) type Shared = Arc<Mutex<Record>>;
 
-/// Chunk `index` of an epoch; five make an episode.
-pub(crate) fn chunk((actor, epoch, index): Key) -> Chunk {
+/// Chunk `index` of a start; five make an episode.
+pub(crate) fn chunk((actor, start, index): Key) -> Chunk {
     Chunk {
         actor_id: name(actor),
-        epoch,
+        epoch: 0,
         seq: 0,
-        episode_id: (actor as u64) << 32 | epoch << 16 | u64::from(index / 5),
+        episode_id: (actor as u64) << 32 | start << 16 | u64::from(index / 5),
         first_step: index % 5 * STEPS,
         steps: STEPS,
         ends_episode: index % 5 == 4,
-        payload: payload((actor, epoch, index)),
+        payload: payload((actor, start, index)),
     }
 }
 
-fn payload((actor, epoch, index): Key) -> Bytes {
-    let text = format!("{actor} {epoch} {index} ");
+fn payload((actor, start, index): Key) -> Bytes {
+    let text = format!("{actor} {start} {index} ");
     text.repeat(1 + index as usize % 50).into()
 }
 
@@ -67,7 +67,7 @@ fn key(chunk: &Chunk) -> Key {
     };
     let key = (number() as usize, number(), number() as u32);
     let mut sent = self::chunk(key);
-    sent.seq = chunk.seq;
+    (sent.epoch, sent.seq) = (chunk.epoch, chunk.seq);
     assert_eq!(*chunk, sent, "damaged");
     key
 }
@@ -135,16 +135,18 @@ impl Record {
         let mut everywhere = BTreeSet::new();
         for folder in folders {
             let stored = read(folder);
-            let mut positions = BTreeMap::<usize, (u64, u64)>::new();
+            let mut positions = BTreeMap::<usize, (u64, u64, u64)>::new();
             for chunk in &stored.chunks {
                 let key = key(chunk);
                 assert!(everywhere.insert(key), "{key:?} is stored twice");
-                let (actor, epoch, _) = key;
-                let (newest, next_seq) = positions.entry(actor).or_default();
-                assert!(epoch >= *newest, "{key:?} was written after epoch {newest}");
-                if epoch > *newest {
-                    (*newest, *next_seq) = (epoch, 0);
+                let (actor, start, _) = key;
+                let (newest, epoch, next_seq) = positions.entry(actor).or_default();
+                assert!(start >= *newest, "{key:?} was written after start {newest}");
+                if start > *newest {
+                    assert!(chunk.epoch > *epoch, "{key:?} has no new epoch");
+                    (*newest, *epoch, *next_seq) = (start, chunk.epoch, 0);
                 }
+                assert_eq!(chunk.epoch, *epoch, "{key:?}: one start, one epoch");
                 assert_eq!(chunk.seq, *next_seq, "{key:?} has a gap before it");
                 *next_seq += 1;
             }

@@ -83,12 +83,11 @@ pub(crate) async fn server(folder: PathBuf) -> Ended {
     }
 }
 
-fn append_client(actor: usize, epoch: u64) -> AppendClient {
+fn append_client(actor: usize) -> AppendClient {
     let options = AppendOptions {
         addresses: addresses(),
         identity: identity(),
         actor_id: record::name(actor),
-        epoch,
         spool_chunks: SPOOL_CHUNKS,
         spool_bytes: usize::MAX,
         failover_after: Duration::from_secs(3),
@@ -106,27 +105,27 @@ pub(crate) async fn actor(
 ) -> Ended {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     loop {
-        let epoch = {
+        let start = {
             let mut record = shared.lock().expect("no panic");
-            let epoch = record.epochs.entry(number).or_default();
-            *epoch += 1;
-            *epoch
+            let start = record.starts.entry(number).or_default();
+            *start += 1;
+            *start
         };
-        let client = append_client(number, epoch);
+        let client = append_client(number);
         let count = rng.random_range(20..100_u32);
         let mut sent = 0;
         while sent < count && !stop.is_cancelled() {
-            client.send(record::chunk((number, epoch, sent))).await?;
+            client.send(record::chunk((number, start, sent))).await?;
             sent += 1;
             if rng.random_bool(0.1) && client.flush(Duration::from_secs(10)).await.is_ok() {
-                acknowledged(&shared, number, epoch, sent);
+                acknowledged(&shared, number, start, sent);
             }
             let pause = rng.random_range(0..60);
             tokio::time::sleep(Duration::from_millis(pause)).await;
         }
         if stop.is_cancelled() {
             client.flush(Duration::from_secs(600)).await?;
-            acknowledged(&shared, number, epoch, sent);
+            acknowledged(&shared, number, start, sent);
             shared.lock().expect("no panic").actors_done += 1;
             return Ok(());
         }
@@ -135,7 +134,7 @@ pub(crate) async fn actor(
             // Half dead: it goes on until it is fenced off, or for a while at another server.
             for index in sent..sent + 20 {
                 if client
-                    .send(record::chunk((number, epoch, index)))
+                    .send(record::chunk((number, start, index)))
                     .await
                     .is_err()
                 {
@@ -147,11 +146,11 @@ pub(crate) async fn actor(
     }
 }
 
-fn acknowledged(shared: &Shared, actor: usize, epoch: u64, sent: u32) {
+fn acknowledged(shared: &Shared, actor: usize, start: u64, sent: u32) {
     let mut record = shared.lock().expect("no panic");
     record
         .acknowledged
-        .extend((0..sent).map(|index| (actor, epoch, index)));
+        .extend((0..sent).map(|index| (actor, start, index)));
 }
 
 /// Draws for ever, from where its last checkpoint was.

@@ -33,7 +33,8 @@ pub(super) struct Recorded {
 pub(super) struct Crowd {
     pub(super) actors: u64,
     pub(super) identity: Identity,
-    pub(super) epoch: u64,
+    /// Drawn at the start; names the episodes.
+    pub(super) entropy: u64,
     pub(super) replay: Vec<String>,
     pub(super) episodes: Vec<Vec<Recorded>>,
     /// Of one actor; none appends as fast as chunks become durable.
@@ -86,7 +87,6 @@ impl Crowd {
             addresses: self.replay.clone(),
             identity: self.identity.clone(),
             actor_id: self.name(index),
-            epoch: self.epoch,
             spool_chunks: self.spool_chunks,
             spool_bytes: self.spool_bytes,
             failover_after: FAILOVER_AFTER,
@@ -112,7 +112,7 @@ impl Crowd {
         let mut due = share * self.seconds_of(&self.episodes[0][0]);
         let mut reports = tokio::task::JoinSet::new();
         for number in 0_u64.. {
-            let episode_id = derive_seed(self.epoch, &["episode", name, &number.to_string()]);
+            let episode_id = derive_seed(self.entropy, &["episode", name, &number.to_string()]);
             let recording = (index + number) as usize % self.episodes.len();
             for recorded in &self.episodes[recording] {
                 // A chunk that cannot be sent in time is late from when it was due: waiting counts.

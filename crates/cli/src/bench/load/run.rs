@@ -2,13 +2,14 @@
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail, ensure};
 use isodream_core::config::EnvConfig;
 use isodream_core::{Config, codec};
 use isodream_proto::Identity;
 use isodream_rpc::{AppendClient, Dialer, Role, SampleClient};
+use rand::RngExt;
 use rustix::process::{Resource, getrlimit, setrlimit};
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
@@ -46,15 +47,10 @@ pub(super) async fn measure(args: &LoadArgs) -> anyhow::Result<LoadBench> {
     let board = Arc::new(Board::new(args.actors));
     servers.publish(&board)?;
     let stop = CancellationToken::new();
-    // Milliseconds since 1970: greater at every start, which is all an epoch must be.
-    let epoch = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .context("the clock stands before 1970")?
-        .as_millis() as u64;
     let crowd = Arc::new(Crowd {
         actors: args.actors,
         identity: identity.clone(),
-        epoch,
+        entropy: rand::rng().random(),
         replay: replay.clone(),
         episodes,
         steps_per_second: (args.steps_per_second > 0.0).then_some(args.steps_per_second),

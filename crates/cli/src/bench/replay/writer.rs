@@ -24,7 +24,6 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
                 addresses: vec![work.address.clone()],
                 identity: work.identity(&work.spec()?),
                 actor_id: "bench".to_owned(),
-                epoch: 1,
                 spool_chunks: work.spool_chunks,
                 spool_bytes: usize::MAX,
                 failover_after: FAILOVER_AFTER,
