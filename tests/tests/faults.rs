@@ -48,12 +48,17 @@ impl Run {
     }
 
     fn start_learner(&self) -> Result<Running> {
+        self.start_learner_with(&[])
+    }
+
+    fn start_learner_with(&self, settings: &[&str]) -> Result<Running> {
         let run_dir = self.path("");
         let addresses = ["--listen", &self.learner, "--replay", &self.replay];
         Running::start(
             &[
                 &["learner", "--preset", "debug", "--run-dir", &run_dir],
                 &addresses[..],
+                settings,
             ]
             .concat(),
         )
@@ -147,6 +152,43 @@ fn a_run_survives_the_death_of_every_role() -> Result<()> {
     ] {
         ensure!(metrics.contains(name), "metrics.jsonl has no {name}");
     }
+    Ok(())
+}
+
+#[test]
+fn a_stop_does_not_wait_for_a_long_update_and_costs_only_what_no_checkpoint_holds() -> Result<()> {
+    let run = Run::new()?;
+    let _replay = run.start_replay()?;
+    let _actor = run.start_actor("actor-0", "collect")?;
+    let mut quick = run.start_learner()?;
+    run.wait_for_updates(2)?;
+    quick.signal("TERM")?;
+    ensure!(quick.wait(SOON)?.success());
+    let kept = checkpointed_updates(run.folder.path())?;
+    ensure!(kept >= 2, "an update that ended in time was not kept");
+
+    // Updates of many seconds, so that the signal comes in the middle of one.
+    let long = [
+        "--set",
+        "behavior.imagination_horizon=1500",
+        "--set",
+        "learner.stop_secs=0.2",
+    ];
+    let mut slow = run.start_learner_with(&long)?;
+    until("the learner trains", LATER, || {
+        Ok(learner_status(&run.learner)?.filter(|status| status.phase == "training"))
+    })?;
+    slow.signal("TERM")?;
+    let begun = std::time::Instant::now();
+    ensure!(slow.wait(SOON)?.success());
+    ensure!(
+        begun.elapsed() < Duration::from_secs(5),
+        "it waited for the update"
+    );
+    ensure!(
+        checkpointed_updates(run.folder.path())? == kept,
+        "half an update was kept"
+    );
     Ok(())
 }
 

@@ -1,5 +1,6 @@
 //! Follows a run: whether updates and inserts move, and how far the replay ratio is off.
 
+use std::fmt::{self, Display, Formatter};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -26,14 +27,48 @@ struct Look {
     replays: Vec<Option<v1::ReplayStatus>>,
 }
 
-/// How far stores were off their replay ratio, in sampled steps beyond the limiter's tolerance; 0 and less is
-/// within it.
-#[derive(Debug, Clone, Copy, serde::Serialize)]
+/// How far stores were off their replay ratio at most.
+#[derive(Debug, Clone, Copy)]
 pub(crate) struct Excess {
     /// Inserts ahead of sampling.
-    pub(crate) inserted: f64,
+    pub(crate) inserted: Farthest,
     /// Sampling ahead of inserts.
-    pub(crate) sampled: f64,
+    pub(crate) sampled: Farthest,
+}
+
+/// The greatest distance that was seen, and where.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Farthest {
+    /// Sampled steps beyond the limiter's tolerance; 0 and less is within it.
+    pub(crate) steps: f64,
+    /// Index of the replay-server.
+    server: usize,
+    after: Duration,
+}
+
+impl Farthest {
+    const NOTHING: Self = Self {
+        steps: f64::NEG_INFINITY,
+        server: 0,
+        after: Duration::ZERO,
+    };
+
+    fn see(&mut self, steps: f64, server: usize, after: Duration) {
+        if steps > self.steps {
+            *self = Self {
+                steps,
+                server,
+                after,
+            };
+        }
+    }
+}
+
+impl Display for Farthest {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        let (steps, after) = (self.steps, self.after.as_secs_f64());
+        write!(f, "{steps:.0} at replay-{} after {after:.0} s", self.server)
+    }
 }
 
 /// A thread that asks all servers again and again. Dropping it ends it.
@@ -150,21 +185,22 @@ impl Watch {
         // A status tells what is durable; the limiter also counts what each stream was let in with.
         let in_work = self.streams as f64 * one_insert;
         let mut excess = Excess {
-            inserted: f64::NEG_INFINITY,
-            sampled: f64::NEG_INFINITY,
+            inserted: Farthest::NOTHING,
+            sampled: Farthest::NOTHING,
         };
-        for status in self.since(since).iter().flat_map(|look| &look.replays) {
-            let Some(status) = status.as_ref().filter(|status| status.sampled_steps > 0) else {
-                continue;
-            };
-            let due = (status.inserted_steps as f64 - min_steps) * ratio;
-            let surplus = due - status.sampled_steps as f64;
-            excess.inserted = excess
-                .inserted
-                .max(surplus - tolerance - one_insert - rollback as f64);
-            excess.sampled = excess
-                .sampled
-                .max(-surplus - tolerance - one_draw - in_work);
+        for look in self.since(since) {
+            let after = look.at.duration_since(since);
+            for (server, status) in look.replays.iter().enumerate() {
+                let Some(status) = status.as_ref().filter(|status| status.sampled_steps > 0) else {
+                    continue;
+                };
+                let due = (status.inserted_steps as f64 - min_steps) * ratio;
+                let surplus = due - status.sampled_steps as f64;
+                let inserted = surplus - tolerance - one_insert - rollback as f64;
+                excess.inserted.see(inserted, server, after);
+                let sampled = -surplus - tolerance - one_draw - in_work;
+                excess.sampled.see(sampled, server, after);
+            }
         }
         excess
     }

@@ -44,14 +44,15 @@ pub enum Finished {
     Stopped,
 }
 
-/// Trains until all updates are made or `shutdown` is cancelled, and leaves a checkpoint either way.
+/// Trains until all updates are made or `shutdown` is cancelled, and leaves a checkpoint either way, unless the update
+/// that runs then takes longer than `learner.stop_secs`.
 ///
 /// # Errors
 /// Where the port is taken, replay refuses this learner, the disk fails, no checkpoint is valid, or a loss is
 /// not finite. The last good checkpoint is kept.
 pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow::Result<Finished> {
     let listener = isodream_rpc::bind(&options.listen, &options.door).await?;
-    let (_lock, learner_epoch) = lock(&options.run_dir)?;
+    let (run_lock, learner_epoch) = lock(&options.run_dir)?;
     let config = &options.config;
     let checkpoint = Checkpoint::load_newest(&options.run_dir.join("checkpoints"))?;
     if let Some(checkpoint) = &checkpoint {
@@ -62,6 +63,7 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
         .map(|c| c.counters.clone())
         .unwrap_or_default();
     let total = config.total_updates();
+    let patience = Duration::from_secs_f64(config.learner.stop_secs);
     let progress = Arc::new(Progress::new(
         counters.updates,
         total,
@@ -138,9 +140,19 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
         first_batch: None,
     };
     let stop = shutdown.clone();
-    let finished = tokio::task::spawn_blocking(move || training.run(checkpoint, &stop))
-        .await
-        .context("the training thread died")?;
+    let training = tokio::task::spawn_blocking(move || training.run(checkpoint, &stop));
+    let finished = tokio::select! {
+        finished = training => finished.context("the training thread died")?,
+        () = overdue(&shutdown, patience) => {
+            tracing::warn!(
+                waited_secs = patience.as_secs_f64(),
+                "the running update takes too long to wait for; stopped, the same command goes on from the newest checkpoint"
+            );
+            // The thread may still write: nobody else gets the folder before this process is gone.
+            std::mem::forget(run_lock);
+            Ok(Finished::Stopped)
+        }
+    };
     follow.abort();
     serving.cancel();
     let served = server.await.context("the learner's server died");
@@ -148,6 +160,12 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
     let finished = finished?;
     served??;
     Ok(finished)
+}
+
+/// Comes when a stop has been waited for long enough.
+async fn overdue(shutdown: &CancellationToken, patience: Duration) {
+    shutdown.cancelled().await;
+    tokio::time::sleep(patience).await;
 }
 
 /// Refuses a checkpoint of another environment or model, by name.

@@ -121,8 +121,10 @@ pub(super) fn kill_learner(cluster: &Cluster) -> Result<(f64, bool)> {
     let at = Instant::now();
     cluster.role("learner")?.kill()?;
     let in_checkpoint = has_partial(&cluster.checkpoints());
+    let updates = cluster.watch.updates();
     let seconds = cluster.watch.recovery(at, Inserts::Any, RECOVERY)?;
-    cluster.line(&mark, "learner", "resumed from checkpoint", RECOVERY)?;
+    let resumed = cluster.line(&mark, "learner", "resumed from checkpoint", RECOVERY)?;
+    eprintln!("chaos: killed at {updates} updates or later; {resumed}");
     Ok((seconds, in_checkpoint))
 }
 

@@ -148,9 +148,10 @@ fn inserts_into(cluster: &Cluster, index: usize) -> Inserts {
 fn finish(cluster: Cluster, since: Instant, rollback: u64, rows: &mut [Row]) -> Result<()> {
     let excess = cluster.watch.excess(since, rollback);
     let mut failures = Vec::new();
-    if excess.inserted > 0.0 || excess.sampled > 0.0 {
+    if excess.inserted.steps > 0.0 || excess.sampled.steps > 0.0 {
         failures.push(format!(
-            "the replay ratio was left, in sampled steps beyond the limiter's bounds: {excess:?}"
+            "the replay ratio was left, in sampled steps beyond the limiter's bounds: inserts ahead {}, draws ahead {}",
+            excess.inserted, excess.sampled
         ));
     }
     let audit = cluster.finish(&mut failures, |_| Ok(()))?;
@@ -160,8 +161,8 @@ fn finish(cluster: Cluster, since: Instant, rollback: u64, rows: &mut [Row]) -> 
     if let Some(row) = rows.first_mut() {
         row.notes.push(format!(
             "sampled steps within the limiter's bounds, at the least: {:.0} where inserts were ahead, {:.0} where draws were",
-            0.0 - excess.inserted,
-            0.0 - excess.sampled
+            0.0 - excess.inserted.steps,
+            0.0 - excess.sampled.steps
         ));
         row.notes.push(format!(
             "{} steps stored by all actors; chunks missing between others: {}",

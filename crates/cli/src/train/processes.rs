@@ -6,17 +6,20 @@ use std::process::{ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
+use backon::{BackoffBuilder, ExponentialBuilder};
 use tokio::process::{Child, Command};
 
 /// A role that dies sooner than this was not able to start.
 const EARLY: Duration = Duration::from_secs(5);
 
-/// Deaths within [`DEATH_WINDOW`] that are put up with. A role that dies again and again will not get better.
-const MAX_DEATHS: usize = 5;
+/// Deaths that count. A role that dies again and again will not get better.
 const DEATH_WINDOW: Duration = Duration::from_secs(600);
 
-/// Longest pause before a restart.
-const LONGEST_PAUSE: Duration = Duration::from_secs(5);
+/// Pauses before restarts, one for each death within [`DEATH_WINDOW`] that is put up with.
+const RESTARTS: ExponentialBuilder = ExponentialBuilder::new()
+    .with_min_delay(Duration::from_millis(500))
+    .with_max_delay(Duration::from_secs(5))
+    .with_max_times(5);
 
 /// How long roles may take to stop by themselves before they are killed. All of them together stay under ten
 /// seconds.
@@ -117,10 +120,10 @@ impl Process {
         self.deaths.retain(|at| now - *at < DEATH_WINDOW);
         self.deaths.push(now);
         let unable = !status.success() && lived < EARLY && !self.started_well;
-        if unable || self.deaths.len() > MAX_DEATHS {
+        let pause = RESTARTS.build().nth(self.deaths.len() - 1);
+        let Some(pause) = pause.filter(|_| !unable) else {
             bail!("{} failed: {}", self.name, self.last_words(status, logs));
-        }
-        let pause = Duration::from_millis(250 << self.deaths.len()).min(LONGEST_PAUSE);
+        };
         tracing::warn!(role = self.name, %status, pause_ms = pause.as_millis() as u64, "restarting");
         self.state = State::Due(now + pause);
         Ok(())

@@ -40,6 +40,7 @@ impl Config {
                 "learner.checkpoint_interval",
                 self.learner.checkpoint_interval as f64,
             ),
+            ("learner.stop_secs", self.learner.stop_secs),
             ("learner.log_interval", self.learner.log_interval as f64),
             (
                 "behavior.slow_critic_interval",

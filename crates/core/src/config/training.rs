@@ -106,6 +106,9 @@ pub struct LearnerConfig {
     pub publish_interval: u64,
     /// Updates between two checkpoints.
     pub checkpoint_interval: u64,
+    /// Seconds that a learner which is told to stop waits for the running update, so that it can be kept. Leave it
+    /// below what the machine's supervisor waits before it kills (Docker 10 s unless told, Kubernetes 30 s).
+    pub stop_secs: f64,
     /// Checkpoints kept, at least 2.
     pub keep_checkpoints: usize,
     /// Updates between two lines of metrics.
@@ -133,6 +136,7 @@ impl Default for LearnerConfig {
             replay_ratio: 0.2,
             publish_interval: 10,
             checkpoint_interval: 500,
+            stop_secs: 20.0,
             keep_checkpoints: 2,
             log_interval: 50,
             table: TRAIN_TABLE.to_owned(),
