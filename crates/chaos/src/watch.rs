@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use isodream_core::Config;
 use isodream_proto::v1;
 
@@ -145,8 +145,31 @@ impl Watch {
                     .min(),
             };
             Ok(updates.zip(moved).map(|(a, b)| a.max(b)))
-        })?;
+        })
+        .with_context(|| self.last_words())?;
         Ok(at.duration_since(since).as_secs_f64())
+    }
+
+    /// What the servers said of themselves last.
+    fn last_words(&self) -> String {
+        let looks = self.looks.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(look) = looks.last() else {
+            return "nobody was asked".to_owned();
+        };
+        let mut words = format!("learner: {:?} updates", look.updates);
+        for (server, status) in look.replays.iter().enumerate() {
+            words += &match status {
+                Some(status) => format!(
+                    "; replay-{server}: {} inserted, {} sampled, inserts wait: `{}`, draws wait: `{}`",
+                    status.inserted_steps,
+                    status.sampled_steps,
+                    status.insert_waiting,
+                    status.sample_waiting
+                ),
+                None => format!("; replay-{server}: no answer"),
+            };
+        }
+        words
     }
 
     /// Whether anything was inserted into the store of server `index` within the last `window`.

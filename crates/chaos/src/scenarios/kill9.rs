@@ -84,12 +84,12 @@ pub(super) fn run(context: &Context) -> Result<Vec<Row>> {
                 }),
             Victim::Replay => kill_replay(&cluster, random.random_range(0..replays)),
         };
+        let words = match &recovered {
+            Ok(secs) => format!("recovered in {secs:.1} s"),
+            Err(error) => format!("{error:#}"),
+        };
+        eprintln!("chaos: kill {} of {count}: {victim:?}, {words}", number + 1);
         row.recovered(recovered);
-        eprintln!(
-            "chaos: kill {} of {count}: {victim:?}, recovered in {:.1} s",
-            number + 1,
-            row.recovery_secs.last().copied().unwrap_or(f64::NAN)
-        );
         if rows.iter().map(|row| row.failures.len()).sum::<usize>() >= ENOUGH {
             break;
         }
