@@ -3,8 +3,17 @@
 use isodream_core::{Config, EnvSpec, Step};
 use isodream_model::batch::preprocess;
 use isodream_model::rssm::State;
-use isodream_model::{ActingModel, Actions, LoadError};
+use isodream_model::{ActingModel, Actions, Decision, LoadError};
 use tch::{Device, Tensor};
+
+/// What one decision was made of.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Insight {
+    /// Weights over the rollout window, which sum to 1 (Eq. 13); empty where the policy does not look ahead.
+    pub attention: Vec<f32>,
+    /// Opening of the dependency gate, 0 or 1 (Eq. 11); none without a gate.
+    pub gate: Option<f32>,
+}
 
 /// A policy with its recurrent memory over a vector of environments.
 #[derive(Debug)]
@@ -45,6 +54,27 @@ impl AgentPolicy {
 
     /// One action per environment, from the newest step of each.
     pub fn act(&mut self, steps: &[&Step], actions: Actions) -> Vec<Vec<f32>> {
+        let decision = self.decide(steps, actions);
+        values(&decision.actions)
+            .chunks(self.spec.action_dim)
+            .map(<[f32]>::to_vec)
+            .collect()
+    }
+
+    /// The action of the only environment, and what it was made of.
+    ///
+    /// # Panics
+    /// If this policy is over more than one environment: a defect of the caller.
+    pub fn act_with_insight(&mut self, step: &Step, actions: Actions) -> (Vec<f32>, Insight) {
+        let decision = self.decide(&[step], actions);
+        let insight = Insight {
+            attention: decision.attention.as_ref().map(values).unwrap_or_default(),
+            gate: decision.gate.as_ref().map(|open| values(open)[0]),
+        };
+        (values(&decision.actions), insight)
+    }
+
+    fn decide(&mut self, steps: &[&Step], actions: Actions) -> Decision {
         let image = self.spec.image;
         let count = steps.len() as i64;
         let pixels: Vec<u8> = steps
@@ -63,18 +93,20 @@ impl AgentPolicy {
             .collect();
         let executed = Tensor::from_slice(&executed).view([count, -1]);
         let is_first: Vec<bool> = steps.iter().map(|step| step.is_first).collect();
-        let chosen = self.model.step(
+        self.model.step(
             &mut self.state,
             &preprocess(&pixels),
             &executed,
             &is_first,
             actions,
-        );
-        let mut flat = vec![0.0; steps.len() * self.spec.action_dim];
-        let count = flat.len();
-        chosen.contiguous().copy_data(&mut flat, count);
-        flat.chunks(self.spec.action_dim)
-            .map(<[f32]>::to_vec)
-            .collect()
+        )
     }
+}
+
+/// All numbers of a tensor, row after row.
+fn values(tensor: &Tensor) -> Vec<f32> {
+    let mut values = vec![0.0; tensor.numel()];
+    let count = values.len();
+    tensor.contiguous().copy_data(&mut values, count);
+    values
 }

@@ -11,9 +11,10 @@ use tokio::runtime::Handle;
 use tokio_util::sync::CancellationToken;
 
 use crate::failures::Failures;
+use crate::film::Film;
 use crate::learner_link::LearnerLink;
 use crate::report::report;
-use crate::rollout::{Pilot, episode};
+use crate::rollout::{Moment, Pilot, episode};
 use crate::{ActorOptions, AgentPolicy};
 
 /// How often the learner is asked whether an evaluation is due.
@@ -69,8 +70,14 @@ pub async fn run(options: ActorOptions, shutdown: CancellationToken) -> anyhow::
                 let mut pilot = Pilot::Agent(agent, Actions::Mode);
                 let seed = evaluation_seed(config.seed, index);
                 let go_on = || !shutdown.is_cancelled();
-                let outcome = match episode(env.as_mut(), &mut pilot, seed, &go_on, &mut |_, _| {})
-                {
+                // The first episode of each evaluation is shown, always on the same seed.
+                let mut film = (index == 0).then(Film::default);
+                let mut watch = |moment: &Moment<'_>| {
+                    if let Some(film) = &mut film {
+                        film.take(moment, &spec);
+                    }
+                };
+                let outcome = match episode(env.as_mut(), &mut pilot, seed, &go_on, &mut watch) {
                     Ok(outcome) => outcome,
                     Err(error) => {
                         failures.another(error)?;
@@ -79,13 +86,16 @@ pub async fn run(options: ActorOptions, shutdown: CancellationToken) -> anyhow::
                 };
                 failures.none();
                 if outcome.end_reason.is_some() {
-                    link.report(report(
-                        &options.actor_id,
-                        v1::ActorRole::Evaluate,
-                        Some(policy.version()),
-                        seed,
-                        outcome,
-                    ));
+                    link.report(v1::EpisodeReport {
+                        film: film.and_then(|film| film.develop(&spec)),
+                        ..report(
+                            &options.actor_id,
+                            v1::ActorRole::Evaluate,
+                            Some(policy.version()),
+                            seed,
+                            outcome,
+                        )
+                    });
                 }
             }
         }

@@ -13,12 +13,13 @@ pub mod collect;
 mod collector;
 pub mod evaluate;
 mod failures;
+mod film;
 mod lane;
 mod learner_link;
 mod report;
 pub mod rollout;
 
-pub use agent::AgentPolicy;
+pub use agent::{AgentPolicy, Insight};
 
 use isodream_core::{Config, EnvSpec};
 use isodream_proto::Identity;

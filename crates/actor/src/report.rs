@@ -24,5 +24,6 @@ pub(crate) fn report(
             .map(|reason| reason.as_str().to_owned())
             .unwrap_or_default(),
         metrics: outcome.metrics.into_iter().collect(),
+        film: None,
     }
 }

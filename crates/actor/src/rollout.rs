@@ -7,7 +7,7 @@ use isodream_core::{Step, Steps};
 use isodream_envs::{Driver, EndReason, Environment};
 use isodream_model::Actions;
 
-use crate::AgentPolicy;
+use crate::{AgentPolicy, Insight};
 
 /// Who drives.
 #[allow(missing_debug_implementations)] // drivers need not be printable
@@ -31,8 +31,19 @@ pub struct Outcome {
     pub metrics: BTreeMap<String, f64>,
 }
 
-/// A picture for whoever watches an episode: the step and, where the world knows it, the class of each pixel.
-pub type Watch<'a> = &'a mut dyn FnMut(&Step, Option<&[u8]>);
+/// One moment of an episode, for whoever watches it.
+#[derive(Debug)]
+pub struct Moment<'a> {
+    /// What the pilot sees.
+    pub step: &'a Step,
+    /// The class of each pixel `[H, W]`, where the world knows it.
+    pub classes: Option<&'a [u8]>,
+    /// What the decision that follows was made of; none of a driver, and where the episode ends.
+    pub insight: Option<&'a Insight>,
+}
+
+/// Is shown an episode, moment after moment.
+pub type Watch<'a> = &'a mut dyn FnMut(&Moment<'_>);
 
 /// Runs one episode, or less if `go_on` says so.
 ///
@@ -61,8 +72,25 @@ pub fn episode(
             is_terminal: transition.is_terminal,
         };
         score += f64::from(step.reward);
-        watch(&step, env.segmentation().as_deref());
-        if step.is_last || !go_on() {
+        let ends = step.is_last || !go_on();
+        let (next, insight) = match pilot {
+            _ if ends => (Vec::new(), None),
+            Pilot::Agent(policy, actions) => {
+                let (action, insight) = policy.act_with_insight(&step, *actions);
+                (action, Some(insight))
+            }
+            Pilot::Driver(driver) => {
+                let action = driver.act(env);
+                let action = action.context("the driver cannot drive this environment")?;
+                (action, None)
+            }
+        };
+        watch(&Moment {
+            step: &step,
+            classes: env.segmentation().as_deref(),
+            insight: insight.as_ref(),
+        });
+        if ends {
             return Ok(Outcome {
                 score,
                 length,
@@ -74,15 +102,7 @@ pub fn episode(
                     .collect(),
             });
         }
-        action = match pilot {
-            Pilot::Agent(policy, actions) => policy
-                .act(&[&step], *actions)
-                .pop()
-                .context("a policy over no environment")?,
-            Pilot::Driver(driver) => driver
-                .act(env)
-                .context("the driver cannot drive this environment")?,
-        };
+        action = next;
         is_first = false;
         transition = env
             .step(&action)
@@ -114,9 +134,11 @@ pub fn record(
         steps: Steps::new(spec.image.bytes(), spec.action_dim),
         classes: Vec::new(),
     };
-    let outcome = episode(env, pilot, seed, &|| true, &mut |step, classes| {
-        recording.steps.push(step);
-        recording.classes.extend(classes.into_iter().flatten());
+    let outcome = episode(env, pilot, seed, &|| true, &mut |moment| {
+        recording.steps.push(moment.step);
+        recording
+            .classes
+            .extend(moment.classes.into_iter().flatten());
     })?;
     Ok((outcome, recording))
 }

@@ -87,13 +87,7 @@ pub(crate) fn evaluate(
     let mut outcomes = Vec::new();
     for &seed in &seeds {
         let mut pilot = Pilot::Agent(&mut agent, Actions::Mode);
-        outcomes.push(episode(
-            env.as_mut(),
-            &mut pilot,
-            seed,
-            go_on,
-            &mut |_, _| {},
-        )?);
+        outcomes.push(episode(env.as_mut(), &mut pilot, seed, go_on, &mut |_| {})?);
     }
     policies.insert("trained".to_owned(), PolicyResult::new(&outcomes));
     // Where nobody may look at the world itself, random actions are the only yardstick.
@@ -106,13 +100,7 @@ pub(crate) fn evaluate(
         for &seed in &seeds {
             let mut driver = scripted.driver(seed);
             let mut pilot = Pilot::Driver(driver.as_mut());
-            outcomes.push(episode(
-                env.as_mut(),
-                &mut pilot,
-                seed,
-                go_on,
-                &mut |_, _| {},
-            )?);
+            outcomes.push(episode(env.as_mut(), &mut pilot, seed, go_on, &mut |_| {})?);
         }
         policies.insert(scripted.as_str().to_owned(), PolicyResult::new(&outcomes));
     }

@@ -9,12 +9,13 @@ use isodream_actor::rollout::{Pilot, Recording, record};
 use isodream_core::{Steps, derive_seed};
 use isodream_envs::class;
 use isodream_learner::checkpoint::Checkpoint;
+use isodream_learner::panel::Panel;
+use isodream_model::Actions;
 use isodream_model::agent::Agent;
 use isodream_model::batch::StagedSteps;
 use isodream_model::open_loop::{OpenLoop, open_loop};
-use isodream_model::{Actions, Batch};
 use isodream_rpc::Role;
-use isodream_telemetry::{Rgb, write_mp4};
+use isodream_telemetry::write_mp4;
 use serde::Serialize;
 use tch::{Device, Kind, Tensor};
 
@@ -25,8 +26,6 @@ use crate::security::ClientArgs;
 const CONTEXT: i64 = 5;
 /// Frames of a sequence, as in the paper.
 const LENGTH: usize = 50;
-/// Columns of the still picture.
-const SHOWN: [usize; 9] = [0, 4, 5, 9, 14, 19, 29, 39, 49];
 
 /// Options of `isodream imagine`.
 #[derive(Debug, Args)]
@@ -121,10 +120,9 @@ pub(crate) fn run(args: &ImagineArgs) -> anyhow::Result<()> {
 
     std::fs::create_dir_all(&args.out)
         .with_context(|| format!("cannot create {}", args.out.display()))?;
-    let frames = Panel::new(&batch, &predicted);
-    frames.still().save_png(&args.out.join("open_loop.png"))?;
-    let video: Vec<Rgb> = (0..LENGTH).map(|t| frames.moment(t)).collect();
-    write_mp4(&args.out.join("open_loop.mp4"), &video, 5.0)?;
+    let panel = Panel::new(&batch, &predicted, CONTEXT);
+    panel.still().save_png(&args.out.join("open_loop.png"))?;
+    write_mp4(&args.out.join("open_loop.mp4"), panel.video(), Panel::FPS)?;
     let text = serde_json::to_string_pretty(&report)?;
     std::fs::write(args.out.join("separation.json"), &text)
         .with_context(|| format!("cannot write into {}", args.out.display()))?;
@@ -165,103 +163,4 @@ fn separation(prediction: &OpenLoop, classes: &Tensor) -> Separation {
         controllable: ratio(&prediction.composition.controllable.mask),
         noncontrollable: ratio(&prediction.composition.noncontrollable.mask),
     }
-}
-
-/// The first sequence as rows of pictures.
-struct Panel {
-    rows: Vec<(&'static str, Vec<Rgb>)>,
-}
-
-impl Panel {
-    fn new(batch: &Batch, prediction: &OpenLoop) -> Self {
-        let composition = &prediction.composition;
-        let truth = batch.images.select(0, 0);
-        let first = |x: &Tensor| x.narrow(0, 0, LENGTH as i64);
-        let (s, z) = (&composition.controllable, &composition.noncontrollable);
-        let error = (first(&composition.image) - &truth).abs() - 0.5;
-        let background: Tensor = 1.0 - first(&s.mask) - first(&z.mask);
-        Self {
-            rows: vec![
-                ("truth", pictures(&truth)),
-                ("prediction", pictures(&first(&composition.image))),
-                ("error", pictures(&error)),
-                ("controllable", pictures(&first(&s.rgb))),
-                ("mask s", masks(&first(&s.mask))),
-                ("noncontrollable", pictures(&first(&z.rgb))),
-                ("mask z", masks(&first(&z.mask))),
-                ("static", pictures(&first(&composition.background))),
-                ("mask b", masks(&background)),
-            ],
-        }
-    }
-
-    /// Chosen frames side by side.
-    fn still(&self) -> Rgb {
-        let rows: Vec<Vec<Rgb>> = self
-            .rows
-            .iter()
-            .map(|(name, frames)| {
-                SHOWN
-                    .iter()
-                    .map(|&t| frames[t].upscale(2).labelled(&label(name, t)))
-                    .collect()
-            })
-            .collect();
-        Rgb::tile(&rows, 4)
-    }
-
-    /// All rows at one time, three by three.
-    fn moment(&self, t: usize) -> Rgb {
-        let cells: Vec<Rgb> = self
-            .rows
-            .iter()
-            .map(|(name, frames)| frames[t].upscale(3).labelled(&label(name, t)))
-            .collect();
-        let rows: Vec<Vec<Rgb>> = cells.chunks(3).map(<[Rgb]>::to_vec).collect();
-        Rgb::tile(&rows, 4)
-    }
-}
-
-fn label(name: &str, t: usize) -> String {
-    match name {
-        "prediction" if (t as i64) < CONTEXT => format!("seen {t}"),
-        "prediction" => format!("predicted {t}"),
-        "truth" => format!("{name} {t}"),
-        _ => name.to_owned(),
-    }
-}
-
-/// `[T, 3, H, W]` in `[-0.5, 0.5]`.
-fn pictures(x: &Tensor) -> Vec<Rgb> {
-    let (height, width) = (x.size()[2] as usize, x.size()[3] as usize);
-    let bytes = ((x + 0.5) * 255.0)
-        .clamp(0.0, 255.0)
-        .to_kind(Kind::Uint8)
-        .permute([0, 2, 3, 1])
-        .contiguous();
-    bytes
-        .unbind(0)
-        .iter()
-        .map(|picture| {
-            let mut data = vec![0; height * width * 3];
-            let count = data.len();
-            picture.copy_data_u8(&mut data, count);
-            Rgb::new(width, height, data)
-        })
-        .collect()
-}
-
-/// `[T, 1, H, W]`, drawn from 0 (dark) to 1 (bright).
-fn masks(x: &Tensor) -> Vec<Rgb> {
-    let (height, width) = (x.size()[2] as usize, x.size()[3] as usize);
-    x.contiguous()
-        .unbind(0)
-        .iter()
-        .map(|mask| {
-            let mut values = vec![0.0; height * width];
-            let count = values.len();
-            mask.contiguous().copy_data(&mut values, count);
-            Rgb::heat(width, height, &values)
-        })
-        .collect()
 }

@@ -55,6 +55,6 @@ pub use environment::{EndReason, Environment, NearbyVehicle, PrivilegedView, Tra
 pub use error::{EnvError, RemoteFault};
 pub use highway::{TrafficReport, traffic_without_collisions};
 pub use noise::{GaussianNoise, NoiseTarget};
-pub use registry::{ids, make, spec};
+pub use registry::{ids, make, spec, steps_per_s};
 pub use vector::{NextEpisode, VectorEnvironment, VectorStep, common_spec};
 pub use wrappers::{ActionRepeat, Guard, Noisy, Resize, Statistics, TimeLimit, check_transition};

@@ -15,6 +15,8 @@ type Make = fn(EnvId<'_>, &EnvConfig, EnvSpec) -> Result<Box<dyn Environment>, E
 pub(crate) struct Family {
     /// First part of its ids.
     pub(crate) name: &'static str,
+    /// Frames per simulated second, one for each repetition of an action.
+    pub(crate) frames_per_s: f64,
     /// Its ids without the first part, in the order they are listed in.
     pub(crate) worlds: fn() -> Vec<String>,
     /// Dimensions of the action, after checking what only this family knows; the id is one of its own.
@@ -97,6 +99,13 @@ pub fn spec(config: &EnvConfig) -> Result<EnvSpec, EnvError> {
         action_repeat: repeat,
         time_limit: limit,
     })
+}
+
+/// Agent steps per simulated second, at least 1: the pace at which a film of an episode looks right. Worlds of other
+/// processes do not tell theirs and are taken for 20 frames per second.
+pub fn steps_per_s(id: &str, action_repeat: u32) -> f64 {
+    let frames_per_s = find(id).map_or(20.0, |(family, _)| family.frames_per_s);
+    (frames_per_s / f64::from(action_repeat)).max(1.0)
 }
 
 fn find(id: &str) -> Result<(&'static Family, EnvId<'_>), EnvError> {

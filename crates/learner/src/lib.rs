@@ -8,10 +8,14 @@
 //!
 //! - [`run`]: the whole role
 //! - [`checkpoint`]: what lies in `checkpoints/` and how it is loaded
+//! - [`panel`]: the open-loop prediction as a picture and a video
 //!
 //! A learner never touches an environment. Killed at any moment, it goes on from its newest valid checkpoint.
 
 pub mod checkpoint;
+mod evaluations;
+mod media;
+pub mod panel;
 mod progress;
 mod run_lock;
 mod sampling;

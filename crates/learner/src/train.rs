@@ -12,11 +12,14 @@ use isodream_proto::{Identity, v1};
 use isodream_rpc::{
     Policy, PolicyPublisher, PolicyService, SampleClient, SampleOptions, SampleWatch,
 };
+use isodream_telemetry::media::MediaFolder;
 use isodream_telemetry::{MetricsWriter, ResumePoint};
 use tokio_util::sync::CancellationToken;
 
 use crate::LearnerOptions;
 use crate::checkpoint::{Checkpoint, Counters};
+use crate::evaluations::Evaluations;
+use crate::media::{Drawn, Media};
 use crate::progress::Progress;
 use crate::run_lock::lock;
 use crate::sampling::{BatchShape, BatchStream, StagedBatch};
@@ -128,7 +131,10 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
         options.run_dir.join("checkpoints"),
         config.learner.keep_checkpoints,
     );
+    let media = Media::new(MediaFolder::create(&options.run_dir)?);
     let training = Training {
+        media,
+        evaluations: Evaluations::new(&options.run_dir),
         options,
         counters,
         batches,
@@ -205,6 +211,8 @@ struct Saved {
 
 struct Training {
     options: LearnerOptions,
+    media: Media,
+    evaluations: Evaluations,
     counters: Counters,
     batches: BatchStream,
     learner_epoch: u64,
@@ -266,6 +274,7 @@ impl Training {
         self.saver.finish()?;
         trained?;
         self.write_reports(&mut metrics)?;
+        show(&mut metrics, self.media.finish())?;
         metrics.flush()?;
         if agent.updates() < total {
             tracing::info!(
@@ -292,6 +301,8 @@ impl Training {
         let learner = &config.learner;
         while agent.updates() < config.total_updates() && !shutdown.is_cancelled() {
             self.saver.poll()?;
+            let drawn = self.media.drawn();
+            show(metrics, drawn)?;
             let Some(batch) = self.next_batch(metrics)? else {
                 continue;
             };
@@ -304,7 +315,8 @@ impl Training {
                 }
                 .into();
             });
-            *last = agent.update(&batch.steps.to_batch(self.options.device));
+            let steps = batch.steps.to_batch(self.options.device);
+            *last = agent.update(&steps);
             self.counters.updates = agent.updates();
             self.counters.sampled_steps.extend(batch.sampled_steps);
             self.counters.env_frames = self.progress.env_frames();
@@ -328,6 +340,8 @@ impl Training {
             }
             if saving {
                 self.save(agent)?;
+                let (frames, updates) = (self.counters.env_frames, agent.updates());
+                self.media.open_loop(frames, updates, &agent.world, &steps);
                 *saved = Saved {
                     updates: agent.updates(),
                     at: Instant::now(),
@@ -406,10 +420,15 @@ impl Training {
     }
 
     /// Writes the episodes that actors reported: `episode/*` of collecting, `eval/*` of evaluating ones.
-    fn write_reports(&self, metrics: &mut MetricsWriter) -> anyhow::Result<()> {
+    fn write_reports(&mut self, metrics: &mut MetricsWriter) -> anyhow::Result<()> {
+        let frames = self.progress.env_frames();
         for report in self.progress.take_reports() {
             let prefix = match report.role() {
-                v1::ActorRole::Evaluate => "eval",
+                v1::ActorRole::Evaluate => {
+                    self.media.episode(frames, &report);
+                    self.evaluations.add(frames, &report)?;
+                    "eval"
+                }
                 _ => "episode",
             };
             let mut values = vec![
@@ -422,10 +441,20 @@ impl Training {
                     .into_iter()
                     .map(|(name, value)| (format!("{prefix}/{name}"), value)),
             );
-            metrics.scalars(self.progress.env_frames(), &values)?;
+            metrics.scalars(frames, &values)?;
         }
         Ok(())
     }
+}
+
+/// Hands a panel to those who look at metrics.
+fn show(metrics: &mut MetricsWriter, drawn: Option<Drawn>) -> anyhow::Result<()> {
+    let Some(drawn) = drawn else { return Ok(()) };
+    let frames = drawn.facts.frames;
+    metrics.scalars(frames, &[("open_loop/error", drawn.error())])?;
+    metrics.image(frames, "open_loop/still", &drawn.still)?;
+    metrics.animation(frames, "open_loop/moving", &drawn.moving)?;
+    Ok(())
 }
 
 /// Reads metrics from the device and refuses numbers that are none.

@@ -11,7 +11,7 @@ use crate::behavior::Critic;
 use crate::laps::{Laps, phase};
 use crate::optimizer::Adam;
 use crate::params::{LoadError, Params, tensor_of, to_safetensors};
-use crate::policy::{ActingModel, Actor, Policy, looks_ahead};
+use crate::policy::{ActingModel, Actor, Future, Policy, attends};
 use crate::precision::product_kind;
 use crate::world_model::WorldModel;
 
@@ -54,15 +54,15 @@ impl Agent {
         let world = WorldModel::new(world_params.root("world_model"), config, action_dim);
         world_params.flatten();
         let mut actor_params = group();
-        let actor = Actor::new(actor_params.root("actor"), model, action_dim);
+        let actor = Actor::new(actor_params.root("actor"), config, action_dim);
         actor_params.flatten();
         let mut critic_params = group();
-        let critic = Critic::new(critic_params.root("critic"), model);
-        let attention = looks_ahead(config)
-            .then(|| FutureAttention::new(critic_params.root("attention"), model));
+        let critic = Critic::new(critic_params.root("critic"), config);
+        let attention =
+            attends(config).then(|| FutureAttention::new(critic_params.root("attention"), model));
         critic_params.flatten();
         let mut slow_params = group();
-        let slow_critic = Critic::new(slow_params.root("slow_critic"), model);
+        let slow_critic = Critic::new(slow_params.root("slow_critic"), config);
         slow_params.flatten();
 
         let optimizer = &config.optimizer;
@@ -110,7 +110,7 @@ impl Agent {
     pub fn policy(&self) -> Policy<'_> {
         Policy {
             rssm: &self.world.rssm,
-            attention: self.attention.as_ref(),
+            future: Future::of(&self.config, self.attention.as_ref()),
             actor: &self.actor,
             indicator: self.config.model.indicator,
             window: self.config.behavior.rollout_window,

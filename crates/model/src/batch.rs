@@ -20,6 +20,19 @@ pub struct Batch {
     pub discounts: Tensor,
 }
 
+impl Batch {
+    /// A view of its first `sequences`.
+    pub fn first(&self, sequences: i64) -> Self {
+        let first = |x: &Tensor| x.narrow(0, 0, sequences.min(x.size()[0]));
+        Self {
+            images: first(&self.images),
+            actions: first(&self.actions),
+            rewards: first(&self.rewards),
+            discounts: first(&self.discounts),
+        }
+    }
+}
+
 /// Pixels as the networks take them: `[N, H, W, 3]` bytes to `[N, 3, H, W]` floats in `[-0.5, 0.5]`, the
 /// channels adjacent in memory as they were.
 pub fn preprocess(pixels: &Tensor) -> Tensor {

@@ -1,13 +1,13 @@
 //! Behaviour learning in isolated imaginations (Iso-Dream++ Alg. 1, lines 8-14; Eq. 14).
 
 use isodream_core::Config;
-use isodream_core::config::{BehaviorConfig, ModelConfig};
+use isodream_core::config::BehaviorConfig;
 use tch::{Kind, Tensor};
 
 use crate::losses::HALF_LOG_2PI;
 use crate::nn::Mlp;
 use crate::params::Scope;
-use crate::policy::Policy;
+use crate::policy::{Policy, feat_width};
 use crate::rssm::{State, stack};
 use crate::world_model::WorldModel;
 
@@ -19,10 +19,10 @@ pub struct Critic {
 
 impl Critic {
     /// The critic of `config`.
-    pub fn new(scope: Scope<'_>, config: &ModelConfig) -> Self {
-        let feat = config.stoch + config.deter;
+    pub fn new(scope: Scope<'_>, config: &Config) -> Self {
+        let (feat, model) = (feat_width(config), &config.model);
         Self {
-            mlp: Mlp::new(scope, feat, config.critic_layers, config.units, 1),
+            mlp: Mlp::new(scope, feat, model.critic_layers, model.units, 1),
         }
     }
 

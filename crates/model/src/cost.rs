@@ -9,7 +9,7 @@ use isodream_core::config::{InverseInput, VarianceLoss};
 
 use crate::encoder::embed_dim;
 use crate::laps::phase;
-use crate::policy::looks_ahead;
+use crate::policy::{attends, feat_width, looks_ahead};
 
 /// Floating-point operations of one update, by [`phase`].
 #[derive(Debug, Clone, PartialEq)]
@@ -162,8 +162,9 @@ impl Macs {
             0.0
         };
         let dynamics = transition + prior + noncontrollable;
-        let actor = mlp(feat, model.actor_layers, 2.0 * action);
-        let value = mlp(feat, model.critic_layers, 1.0);
+        let seen = float(feat_width(config));
+        let actor = mlp(seen, model.actor_layers, 2.0 * action);
+        let value = mlp(seen, model.critic_layers, 1.0);
         // Where the value's gradient does not reach the actor, the slow critic has no backward pass.
         let valued = f64::from(u8::from(config.behavior.value_gradient));
         // Dynamics, reward and slow critic pass gradients to the actor without learning.
@@ -175,7 +176,7 @@ impl Macs {
         };
         // Actor and critic learn; the gradient of neither goes on from their first layers, unless the critic's
         // reaches the attention.
-        let first = feat * units;
+        let first = seen * units;
         let mut imagined_step = BehaviorMacs {
             imagine: dynamics + actor,
             values: value,
@@ -184,14 +185,18 @@ impl Macs {
         };
         if looks_ahead(config) {
             let window = float(config.behavior.rollout_window);
-            let dim = float(model.attention_dim);
             // The first transition of the window is the imagined step's own.
             let alone =
                 (window - 1.0) * prior + (window - 2.0).max(0.0) * (transition + stoch * stoch);
+            imagined_state.imagine += alone;
+        }
+        if attends(config) {
+            let window = float(config.behavior.rollout_window);
+            let dim = float(model.attention_dim);
             // Four projections per query, scores and their mean. The critic's gradient reaches the weights and
             // passes all but the first projection.
             let (project, read) = (4.0 * feat * dim, 2.0 * window * feat);
-            imagined_state.imagine += alone + project + read;
+            imagined_state.imagine += project + read;
             imagined_state.actor_backward += valued * (project + read);
             imagined_step.critic_backward += 2.0 * project - feat * dim + read + first;
         }

@@ -1,6 +1,6 @@
 //! Image decoders of the three branches and their composition (Iso-Dream++ Eq. 5).
 
-use isodream_core::config::ModelConfig;
+use isodream_core::config::{Branches, ModelConfig};
 use tch::{Kind, Tensor};
 
 use crate::encoder::{Tail, embed_dim};
@@ -189,8 +189,8 @@ impl Background {
 pub struct Decoder {
     controllable: ImageDecoder,
     noncontrollable: ImageDecoder,
-    /// The static branch.
-    pub background: Background,
+    background: Option<Background>,
+    branches: Branches,
 }
 
 impl Decoder {
@@ -200,7 +200,9 @@ impl Decoder {
         let decoder = Self {
             controllable: ImageDecoder::new(scope.sub("controllable"), config, feat, 4),
             noncontrollable: ImageDecoder::new(scope.sub("noncontrollable"), config, feat, 4),
-            background: Background::new(scope.sub("background"), config),
+            background: (config.branches == Branches::All)
+                .then(|| Background::new(scope.sub("background"), config)),
+            branches: config.branches,
         };
         if config.mask_bias != 0.0 {
             for branch in [&decoder.controllable, &decoder.noncontrollable] {
@@ -208,6 +210,17 @@ impl Decoder {
             }
         }
         decoder
+    }
+
+    /// The static branch's picture, black where there is none.
+    ///
+    /// # Shapes
+    /// `stem: [B, T, 2 depth, 14, 14]` `-> [B, 3, 4, 32, 32]`
+    pub fn background(&self, stem: &Tensor) -> Tensor {
+        match &self.background {
+            Some(background) => background.forward(stem),
+            None => Tensor::zeros([stem.size()[0], 3, 4, 32, 32], (Kind::Float, stem.device())),
+        }
     }
 
     /// Features of both dynamic branches as small pictures, for [`Self::upsample`].
@@ -234,11 +247,20 @@ impl Decoder {
     /// # Shapes
     /// `[N, 4 depth, 5, 5]` twice, to pictures in phases
     pub fn upsample(&self, controllable: &Tensor, noncontrollable: &Tensor) -> [Component; 2] {
-        [
+        let [mut s, mut z] = [
             self.controllable.upsample(controllable),
             self.noncontrollable.upsample(noncontrollable),
         ]
-        .map(|phases| Component::from_channels(&to_channels(&phases)))
+        .map(|phases| Component::from_channels(&to_channels(&phases)));
+        match self.branches {
+            Branches::All => {}
+            Branches::Dynamic => z.mask = 1.0 - &s.mask,
+            Branches::Controllable => {
+                s.mask = s.mask.ones_like();
+                z.mask = z.mask.zeros_like();
+            }
+        }
+        [s, z]
     }
 
     /// Pictures of both dynamic branches over one background per sequence.
@@ -257,5 +279,63 @@ impl Decoder {
             .upsample(&s, &z)
             .map(|component| component.map(|x| x.unflatten(0, [batch, length])));
         compose(s, z, background.unsqueeze(1))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tch::Device;
+
+    use super::*;
+    use crate::params::Params;
+
+    const FLOAT: (Kind, Device) = (Kind::Float, Device::Cpu);
+
+    fn composed(branches: Branches) -> (Composition, Tensor) {
+        let config = ModelConfig {
+            cnn_depth: 2,
+            stoch: 3,
+            deter: 5,
+            background_frames: 2,
+            branches,
+            ..ModelConfig::default()
+        };
+        let mut params = Params::new(Device::Cpu);
+        let decoder = Decoder::new(params.root("decoder"), &config);
+        let feat = || Tensor::randn([2, 4, 8], FLOAT);
+        let stem = Tensor::randn([2, 4, 4, 14, 14], FLOAT);
+        let background = decoder.background(&stem);
+        let absent = background.abs().max().double_value(&[]) == 0.0;
+        assert_eq!(absent, branches != Branches::All);
+        let composition = decoder.forward(&feat(), &feat(), &background);
+        let (s, z) = (&composition.controllable, &composition.noncontrollable);
+        let dynamic = &s.mask * &s.rgb + &z.mask * &z.rgb;
+        (composition, dynamic)
+    }
+
+    #[test]
+    fn without_the_static_branch_the_dynamic_ones_share_every_pixel() {
+        let (composition, dynamic) = composed(Branches::Dynamic);
+        let masks = &composition.controllable.mask + &composition.noncontrollable.mask;
+        assert!(masks.allclose(&masks.ones_like(), 1e-6, 1e-6, false));
+        assert!(composition.image.allclose(&dynamic, 1e-5, 1e-6, false));
+    }
+
+    #[test]
+    fn the_controllable_branch_alone_makes_the_whole_picture() {
+        let (composition, _) = composed(Branches::Controllable);
+        assert!(composition.image.equal(&composition.controllable.rgb));
+    }
+
+    #[test]
+    fn with_all_branches_the_static_one_shows_where_masks_are_not_full() {
+        let (composition, dynamic) = composed(Branches::All);
+        let masks = &composition.controllable.mask + &composition.noncontrollable.mask;
+        let rest = (1.0 - masks) * &composition.background;
+        assert!(
+            composition
+                .image
+                .allclose(&(dynamic + rest), 1e-5, 1e-6, false)
+        );
     }
 }

@@ -38,4 +38,4 @@ pub mod world_model;
 pub use agent::Agent;
 pub use batch::Batch;
 pub use params::{LoadError, Params};
-pub use policy::{ActingModel, Actions};
+pub use policy::{ActingModel, Actions, Decision};

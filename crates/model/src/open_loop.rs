@@ -40,7 +40,7 @@ pub fn open_loop(world: &WorldModel, batch: &Batch, context: i64) -> OpenLoop {
     let composition = world.decoder.forward(
         &states.controllable.feat(),
         &states.noncontrollable.feat(),
-        &world.decoder.background.forward(&encoded.stem),
+        &world.decoder.background(&encoded.stem),
     );
     OpenLoop {
         composition: composition.pictures(),

@@ -5,11 +5,11 @@
 //! acting cannot drift apart.
 
 use isodream_core::Config;
-use isodream_core::config::ModelConfig;
+use isodream_core::config::FutureStates;
 use safetensors::SafeTensors;
 use tch::{Device, Tensor};
 
-use crate::attention::FutureAttention;
+use crate::attention::{Attended, FutureAttention};
 use crate::distribution::TruncatedNormal;
 use crate::encoder::Encoder;
 use crate::nn::Mlp;
@@ -33,14 +33,14 @@ pub struct Actor {
 
 impl Actor {
     /// The actor of `config`.
-    pub fn new(scope: Scope<'_>, config: &ModelConfig, action_dim: i64) -> Self {
-        let feat = config.stoch + config.deter;
+    pub fn new(scope: Scope<'_>, config: &Config, action_dim: i64) -> Self {
+        let model = &config.model;
         Self {
             mlp: Mlp::new(
                 scope,
-                feat,
-                config.actor_layers,
-                config.units,
+                feat_width(config),
+                model.actor_layers,
+                model.units,
                 2 * action_dim,
             ),
         }
@@ -61,6 +61,38 @@ pub struct Lookahead {
     pub memory: Option<Tensor>,
     /// `h'_{t+1}`, which the next imagined step needs as well; absent where `z` is ignored.
     pub next_deter: Option<Tensor>,
+    /// Openings `w_t` of the dependency gate: `[N, 1]` (Eq. 11); absent without a gate.
+    pub gate: Option<Tensor>,
+}
+
+/// A decision and what it was made of.
+#[derive(Debug)]
+pub struct Decision {
+    /// `[M, A]`.
+    pub actions: Tensor,
+    /// Weights over the rollout `[M, tau]` (Eq. 13); absent where the policy does not look ahead.
+    pub attention: Option<Tensor>,
+    /// Openings of the dependency gate `[M, 1]` (Eq. 11); absent without a gate.
+    pub gate: Option<Tensor>,
+}
+
+/// How foreseen states enter the policy.
+#[derive(Debug, Clone, Copy)]
+pub enum Future<'a> {
+    /// By attention (Eq. 13).
+    Attention(&'a FutureAttention),
+    /// Beside the controllable state, the paper's ablation.
+    Concatenation,
+}
+
+impl<'a> Future<'a> {
+    /// As `config` says; `attention` is what it asks for.
+    pub fn of(config: &Config, attention: Option<&'a FutureAttention>) -> Option<Self> {
+        match attention {
+            Some(attention) => Some(Self::Attention(attention)),
+            None => looks_ahead(config).then_some(Self::Concatenation),
+        }
+    }
 }
 
 /// Borrows everything that turns a state into an action.
@@ -68,8 +100,8 @@ pub struct Lookahead {
 pub struct Policy<'a> {
     /// Latent dynamics, for the rollouts.
     pub rssm: &'a Rssm,
-    /// Future-state attention; absent with the indicator off or an empty window.
-    pub attention: Option<&'a FutureAttention>,
+    /// How foreseen states enter; absent with the indicator off or an empty window.
+    pub future: Option<Future<'a>>,
     /// The actor.
     pub actor: &'a Actor,
     /// Whether noncontrollable states count (the indicator).
@@ -86,12 +118,13 @@ impl Policy<'_> {
             return Lookahead {
                 memory: None,
                 next_deter: None,
+                gate: None,
             };
         }
         let gated = self.rssm.gated(state);
         let z = &state.noncontrollable;
         let next_deter = self.rssm.free_transition(&gated.stoch, &z.deter);
-        let memory = self.attention.map(|_| {
+        let memory = self.future.map(|_| {
             tch::no_grad(|| {
                 let now = Latent {
                     stoch: gated.stoch.shallow_clone(),
@@ -119,18 +152,31 @@ impl Policy<'_> {
         Lookahead {
             memory,
             next_deter: Some(next_deter),
+            gate: gated.open,
         }
     }
 
     /// `e_t` (Eq. 13); the controllable features themselves where the policy does not look ahead.
     ///
     /// # Shapes
-    /// `-> [N, feat]`
+    /// `-> [N, feat]`, or [`feat_width`] where foreseen states are concatenated
     pub fn feat(&self, state: &State, lookahead: &Lookahead) -> Tensor {
+        self.attend(state, lookahead).0
+    }
+
+    /// [`Self::feat`] with the weights over the memory `[N, tau]`, if there is one.
+    fn attend(&self, state: &State, lookahead: &Lookahead) -> (Tensor, Option<Tensor>) {
         let controllable = state.controllable.feat();
-        match (self.attention, &lookahead.memory) {
-            (Some(attention), Some(memory)) => attention.forward(&controllable, memory).feat,
-            _ => controllable,
+        match (self.future, &lookahead.memory) {
+            (Some(Future::Attention(attention)), Some(memory)) => {
+                let Attended { feat, weights } = attention.forward(&controllable, memory);
+                (feat, Some(weights))
+            }
+            (Some(Future::Concatenation), Some(memory)) => {
+                let all = Tensor::cat(&[controllable, memory.flatten(1, -1)], -1);
+                (all, None)
+            }
+            _ => (controllable, None),
         }
     }
 
@@ -155,8 +201,7 @@ pub struct ActingModel {
     rssm: Rssm,
     attention: Option<FutureAttention>,
     actor: Actor,
-    indicator: bool,
-    window: i64,
+    config: Config,
 }
 
 impl ActingModel {
@@ -167,9 +212,9 @@ impl ActingModel {
         let mut world = params.root("world_model");
         let encoder = Encoder::new(world.sub("encoder"), &config.model, action_dim);
         let rssm = Rssm::new(world.sub("rssm"), &config.model, action_dim);
-        let attention = looks_ahead(config)
-            .then(|| FutureAttention::new(params.root("attention"), &config.model));
-        let actor = Actor::new(params.root("actor"), &config.model, action_dim);
+        let attention =
+            attends(config).then(|| FutureAttention::new(params.root("attention"), &config.model));
+        let actor = Actor::new(params.root("actor"), config, action_dim);
         params.flatten();
         Self {
             params,
@@ -177,8 +222,7 @@ impl ActingModel {
             rssm,
             attention,
             actor,
-            indicator: config.model.indicator,
-            window: config.behavior.rollout_window,
+            config: config.clone(),
         }
     }
 
@@ -199,10 +243,10 @@ impl ActingModel {
     pub fn policy(&self) -> Policy<'_> {
         Policy {
             rssm: &self.rssm,
-            attention: self.attention.as_ref(),
+            future: Future::of(&self.config, self.attention.as_ref()),
             actor: &self.actor,
-            indicator: self.indicator,
-            window: self.window,
+            indicator: self.config.model.indicator,
+            window: self.config.behavior.rollout_window,
         }
     }
 
@@ -216,7 +260,7 @@ impl ActingModel {
     ///
     /// # Shapes
     /// `images: [M, 3, 64, 64]`, `executed: [M, A]`, the actions that led to them, zero after a reset,
-    /// `is_first: [M]` `-> [M, A]`
+    /// `is_first: [M]`; what is returned lies on the CPU.
     pub fn step(
         &self,
         state: &mut State,
@@ -224,7 +268,7 @@ impl ActingModel {
         executed: &Tensor,
         is_first: &[bool],
         actions: Actions,
-    ) -> Tensor {
+    ) -> Decision {
         let _guard = tch::no_grad_guard();
         let device = self.params.device();
         let (images, executed) = (images.to_device(device), executed.to_device(device));
@@ -241,12 +285,30 @@ impl ActingModel {
         *state = self.rssm.observe_step(state, &executed, &embed);
         let policy = self.policy();
         let lookahead = policy.look_ahead(state);
-        let action = policy.act(&policy.feat(state, &lookahead), actions);
-        action.to_device(Device::Cpu)
+        let (feat, attention) = policy.attend(state, &lookahead);
+        Decision {
+            actions: policy.act(&feat, actions).to_device(Device::Cpu),
+            attention: attention.map(|weights| weights.to_device(Device::Cpu)),
+            gate: lookahead.gate.map(|open| open.to_device(Device::Cpu)),
+        }
     }
 }
 
-/// Whether the policy of `config` uses rollouts and attention.
+/// Whether the policy of `config` attends to what it foresees.
+pub fn attends(config: &Config) -> bool {
+    looks_ahead(config) && config.model.future == FutureStates::Attention
+}
+
+/// Width of what actor and critic of `config` see: `e_t`, or the controllable state with all foreseen ones.
+pub fn feat_width(config: &Config) -> i64 {
+    let feat = config.model.stoch + config.model.deter;
+    if looks_ahead(config) && config.model.future == FutureStates::Concatenation {
+        return feat * (1 + config.behavior.rollout_window);
+    }
+    feat
+}
+
+/// Whether the policy of `config` uses rollouts.
 pub fn looks_ahead(config: &Config) -> bool {
     config.model.indicator && config.behavior.rollout_window > 0
 }

@@ -181,7 +181,7 @@ impl WorldModel {
     /// `-ln p(o_t | ..)` of the reconstructed sequences (Eq. 6), with the mean masks of both dynamic branches.
     fn image_loss(&self, batch: &Batch, encoded: &Encoded) -> (Tensor, [Tensor; 2]) {
         let (s, z) = self.decoder_feats(encoded);
-        let background = self.decoder.background.forward(&encoded.stem);
+        let background = self.decoder.background(&encoded.stem);
         let (sequences, length) = (s.size()[0], s.size()[1]);
         let [s, z] = self
             .decoder

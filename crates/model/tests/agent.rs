@@ -85,6 +85,9 @@ fn deployed_and_imagined_policy_act_alike() {
         &["model.dependency_gate=false"],
         &["behavior.rollout_window=0"],
         &["model.indicator=false"],
+        &["model.future=concatenation"],
+        &["model.branches=dynamic"],
+        &["model.branches=controllable", "model.indicator=false"],
     ] {
         let config = small(set);
         let agent = Agent::new(&config, &spec(), Device::Cpu);
@@ -99,7 +102,9 @@ fn deployed_and_imagined_policy_act_alike() {
 
         tch::manual_seed(5);
         let mut memory = acting.begin(count);
-        let deployed = acting.step(&mut memory, &images, &nothing, &first, Actions::Sample);
+        let deployed = acting
+            .step(&mut memory, &images, &nothing, &first, Actions::Sample)
+            .actions;
 
         tch::manual_seed(5);
         let encoder = &agent.world.encoder;
@@ -123,6 +128,17 @@ fn deployed_and_imagined_policy_act_alike() {
             &later,
             Actions::Sample,
         );
+        if let Some(weights) = &second.attention {
+            let window = config.behavior.rollout_window;
+            assert_eq!(weights.size(), [count, window]);
+            let sums = weights.sum_dim_intlist(-1, false, Kind::Float);
+            assert!(sums.allclose(&Tensor::ones_like(&sums), 1e-5, 1e-6, false));
+        }
+        assert_eq!(
+            second.attention.is_some(),
+            isodream_model::policy::attends(&config)
+        );
+        let second = second.actions;
         tch::manual_seed(6);
         let embed = encoder.embed(&encoder.stem.forward(&next_images), &deployed);
         let state = agent.world.rssm.observe_step(&state, &deployed, &embed);
@@ -135,7 +151,9 @@ fn deployed_and_imagined_policy_act_alike() {
 
         // A reset forgets both.
         tch::manual_seed(5);
-        let again = acting.step(&mut memory, &images, &nothing, &first, Actions::Sample);
+        let again = acting
+            .step(&mut memory, &images, &nothing, &first, Actions::Sample)
+            .actions;
         assert!(again.equal(&deployed), "{set:?}: {again} {deployed}");
     }
 }
@@ -186,6 +204,8 @@ fn every_option_trains_and_the_losses_fall() {
             "behavior.start_share=0.5",
             "behavior.rollout_window=0",
         ],
+        &["model.future=concatenation", "model.branches=dynamic"],
+        &["model.branches=controllable", "model.indicator=false"],
     ] {
         let mut config = small(set);
         config.optimizer.model_lr = 2e-3;

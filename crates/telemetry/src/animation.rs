@@ -2,16 +2,28 @@
 
 use std::borrow::Borrow;
 use std::fs::File;
-use std::io::BufWriter;
+use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use image::codecs::gif::{GifEncoder, Repeat};
 use image::{Delay, Frame, Rgba, RgbaImage};
 
+use crate::video::check_rate;
 use crate::{Error, Result, Rgb};
 
 /// Of 1 to 30: how carefully 256 colours are chosen for each frame; greater is faster.
 const SPEED: i32 = 10;
+
+/// An animation as bytes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Gif {
+    /// Pixels per row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// The file.
+    pub bytes: Vec<u8>,
+}
 
 /// Writes `frames` as an animation that repeats for ever.
 ///
@@ -22,18 +34,43 @@ pub fn write_gif(
     frames: impl IntoIterator<Item: Borrow<Rgb>>,
     fps: f64,
 ) -> Result<()> {
-    if !(fps.is_finite() && fps > 0.0) {
-        return Err(Error::video(
-            path,
-            &format!("{fps} frames per second are not possible"),
-        ));
-    }
     let mut frames = frames.into_iter().peekable();
-    if frames.peek().is_none() {
-        return Err(Error::video(path, &"it has no frames"));
-    }
+    check(path, frames.peek().is_some(), fps)?;
     let file = File::create(path).map_err(Error::io("create", path))?;
-    let mut encoder = GifEncoder::new_with_speed(BufWriter::new(file), SPEED);
+    encode(BufWriter::new(file), path, frames, fps)
+}
+
+/// [`write_gif`] into memory.
+///
+/// # Errors
+/// [`Error::Video`] if there are no frames or the rate is not above 0.
+pub fn encode_gif(frames: &[Rgb], fps: f64) -> Result<Gif> {
+    let path = Path::new("in memory");
+    check(path, !frames.is_empty(), fps)?;
+    let mut bytes = Vec::new();
+    encode(&mut bytes, path, frames, fps)?;
+    Ok(Gif {
+        width: frames[0].width,
+        height: frames[0].height,
+        bytes,
+    })
+}
+
+fn check(path: &Path, has_frames: bool, fps: f64) -> Result<()> {
+    check_rate(path, fps)?;
+    if has_frames {
+        return Ok(());
+    }
+    Err(Error::video(path, &"it has no frames"))
+}
+
+fn encode(
+    writer: impl Write,
+    path: &Path,
+    frames: impl IntoIterator<Item: Borrow<Rgb>>,
+    fps: f64,
+) -> Result<()> {
+    let mut encoder = GifEncoder::new_with_speed(writer, SPEED);
     let failed = |error: image::ImageError| Error::video(path, &error);
     encoder.set_repeat(Repeat::Infinite).map_err(failed)?;
     // The format counts in hundredths of a second.
@@ -68,6 +105,9 @@ mod tests {
         let colors = [[250, 10, 10], [10, 250, 10], [10, 10, 250]];
         let frames = colors.map(|color| Rgb::filled(20, 12, color));
         write_gif(&path, &frames, 5.0).unwrap();
+        let gif = encode_gif(&frames, 5.0).unwrap();
+        assert_eq!((gif.width, gif.height), (20, 12));
+        assert_eq!(gif.bytes, std::fs::read(&path).unwrap());
         let decoder = GifDecoder::new(BufReader::new(File::open(&path).unwrap())).unwrap();
         let decoded = decoder.into_frames().collect_frames().unwrap();
         assert_eq!(decoded.len(), 3);

@@ -3,19 +3,22 @@
 //! This crate knows no network, no tensors and none of Isodream's own types, so that every role can use it.
 
 mod animation;
+mod csv_log;
 mod error;
 mod font;
 mod jsonl;
 mod logging;
+pub mod media;
 mod metrics;
 mod picture;
 mod tensorboard;
 mod video;
 
-pub use animation::write_gif;
+pub use animation::{Gif, encode_gif, write_gif};
+pub use csv_log::CsvLog;
 pub use error::{Error, Result};
 pub use logging::{LOG_FILTER_VARIABLE, LogFormat, init_logging};
 pub use metrics::{MetricsWriter, ResumePoint};
 pub use picture::Rgb;
 pub use tensorboard::EventWriter;
-pub use video::{VideoWriter, write_mp4};
+pub use video::{VideoWriter, encode_mp4, write_mp4};

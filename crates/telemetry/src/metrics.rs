@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::jsonl::{JsonlWriter, check_name};
-use crate::{Error, EventWriter, Result, Rgb};
+use crate::{Error, EventWriter, Gif, Result, Rgb};
 
 /// The point a run goes back to when it resumes.
 #[derive(Debug, Clone, Copy)]
@@ -71,6 +71,14 @@ impl MetricsWriter {
     /// [`Error::Png`], [`Error::Io`].
     pub fn image(&mut self, frames: u64, name: &str, image: &Rgb) -> Result<()> {
         self.events.image(frames, unix_time_secs(), name, image)
+    }
+
+    /// Writes an animation to TensorBoard.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn animation(&mut self, frames: u64, name: &str, gif: &Gif) -> Result<()> {
+        self.events.animation(frames, unix_time_secs(), name, gif)
     }
 
     /// Waits until everything written so far would survive a crash of the machine. Readers see it

@@ -2,7 +2,7 @@
 
 use std::borrow::Borrow;
 use std::fs::{self, File};
-use std::io::BufWriter;
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use muxide::api::{Muxer, MuxerBuilder, VideoCodec};
@@ -22,47 +22,22 @@ const KEYFRAME_SECS: f64 = 5.0;
 /// 0 is best, 51 worst. Panels hold small text and single-pixel edges, which show artefacts early.
 const QUANTIZATION: (u8, u8) = (12, 22);
 
-/// Encodes frames as they come. The file has its name only after [`finish`](Self::finish): nobody opens
-/// half a video, and one that is dropped early leaves only its `.tmp`.
-pub struct VideoWriter {
+/// H.264 in an MP4 container, into anything that can be written to.
+struct Mp4<W: Write> {
+    /// Names the video in errors.
     path: PathBuf,
-    part: PathBuf,
     width: usize,
     height: usize,
     fps: f64,
     frames: u64,
     encoder: Encoder,
-    muxer: Muxer<BufWriter<File>>,
+    muxer: Muxer<W>,
 }
 
-impl std::fmt::Debug for VideoWriter {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("VideoWriter")
-            .field("path", &self.path)
-            .field("frames", &self.frames)
-            .finish_non_exhaustive()
-    }
-}
-
-impl VideoWriter {
-    /// Starts a video of `width` x `height` pixels at `fps` frames per second. H.264 needs even sides of
-    /// at least 16 pixels: smaller and odd ones are padded with black at the right and the bottom.
-    ///
-    /// # Errors
-    /// [`Error::Video`] on sizes or rates that cannot be encoded, [`Error::Io`].
-    pub fn create(path: &Path, width: usize, height: usize, fps: f64) -> Result<Self> {
-        if !(fps.is_finite() && fps > 0.0) {
-            return Err(Error::video(
-                path,
-                &format!("{fps} frames per second are not possible"),
-            ));
-        }
-        let mut part = path.as_os_str().to_owned();
-        part.push(".tmp");
-        let part = PathBuf::from(part);
-        let file = File::create(&part).map_err(Error::io("create", &part))?;
+impl<W: Write> Mp4<W> {
+    fn new(writer: W, path: &Path, width: usize, height: usize, fps: f64) -> Result<Self> {
         let (padded_width, padded_height) = (padded(width), padded(height));
-        let muxer = MuxerBuilder::new(BufWriter::new(file))
+        let muxer = MuxerBuilder::new(writer)
             .video(
                 VideoCodec::H264,
                 padded_width as u32,
@@ -90,7 +65,6 @@ impl VideoWriter {
             .map_err(|error| Error::video(path, &error))?;
         Ok(Self {
             path: path.to_owned(),
-            part,
             width,
             height,
             fps,
@@ -100,11 +74,7 @@ impl VideoWriter {
         })
     }
 
-    /// Appends a frame.
-    ///
-    /// # Errors
-    /// [`Error::Video`] on a frame of another size than the video's, and when the encoder fails.
-    pub fn push(&mut self, frame: &Rgb) -> Result<()> {
+    fn push(&mut self, frame: &Rgb) -> Result<()> {
         if (frame.width, frame.height) != (self.width, self.height) {
             let reason = format!(
                 "frame {} is {}x{} in a video of {}x{}",
@@ -127,19 +97,69 @@ impl VideoWriter {
         Ok(())
     }
 
-    /// Completes the file and gives it its name.
-    ///
-    /// # Errors
-    /// [`Error::Video`] if there is no frame, [`Error::Io`].
-    pub fn finish(mut self) -> Result<()> {
+    fn finish(mut self) -> Result<W> {
         if self.frames == 0 {
             return Err(Error::video(&self.path, &"it has no frames"));
         }
         self.muxer
             .finish_in_place()
             .map_err(|error| Error::video(&self.path, &error))?;
-        self.muxer
-            .into_writer()
+        Ok(self.muxer.into_writer())
+    }
+}
+
+/// Encodes frames as they come. The file has its name only after [`finish`](Self::finish): nobody opens
+/// half a video, and one that is dropped early leaves only its `.tmp`.
+pub struct VideoWriter {
+    path: PathBuf,
+    part: PathBuf,
+    mp4: Mp4<BufWriter<File>>,
+}
+
+impl std::fmt::Debug for VideoWriter {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("VideoWriter")
+            .field("path", &self.path)
+            .field("frames", &self.mp4.frames)
+            .finish_non_exhaustive()
+    }
+}
+
+impl VideoWriter {
+    /// Starts a video of `width` x `height` pixels at `fps` frames per second. H.264 needs even sides of
+    /// at least 16 pixels: smaller and odd ones are padded with black at the right and the bottom.
+    ///
+    /// # Errors
+    /// [`Error::Video`] on sizes or rates that cannot be encoded, [`Error::Io`].
+    pub fn create(path: &Path, width: usize, height: usize, fps: f64) -> Result<Self> {
+        check_rate(path, fps)?;
+        let mut part = path.as_os_str().to_owned();
+        part.push(".tmp");
+        let part = PathBuf::from(part);
+        let file = File::create(&part).map_err(Error::io("create", &part))?;
+        let mp4 = Mp4::new(BufWriter::new(file), path, width, height, fps)?;
+        Ok(Self {
+            path: path.to_owned(),
+            part,
+            mp4,
+        })
+    }
+
+    /// Appends a frame.
+    ///
+    /// # Errors
+    /// [`Error::Video`] on a frame of another size than the video's, and when the encoder fails.
+    pub fn push(&mut self, frame: &Rgb) -> Result<()> {
+        self.mp4.push(frame)
+    }
+
+    /// Completes the file and gives it its name.
+    ///
+    /// # Errors
+    /// [`Error::Video`] if there is no frame, [`Error::Io`].
+    pub fn finish(self) -> Result<()> {
+        self.mp4
+            .finish()?
             .into_inner()
             .map_err(|error| Error::io("write", &self.part)(error.into_error()))?;
         fs::rename(&self.part, &self.path).map_err(Error::io("rename to", &self.path))
@@ -165,6 +185,33 @@ pub fn write_mp4(
         video.push(frame.borrow())?;
     }
     video.finish()
+}
+
+/// The bytes that [`write_mp4`] would write.
+///
+/// # Errors
+/// [`Error::Video`] where there are no frames, or they cannot be encoded.
+pub fn encode_mp4(frames: &[Rgb], fps: f64) -> Result<Vec<u8>> {
+    let path = Path::new("in memory");
+    check_rate(path, fps)?;
+    let Some(first) = frames.first() else {
+        return Err(Error::video(path, &"it has no frames"));
+    };
+    let mut mp4 = Mp4::new(Vec::new(), path, first.width, first.height, fps)?;
+    for frame in frames {
+        mp4.push(frame)?;
+    }
+    mp4.finish()
+}
+
+pub(crate) fn check_rate(path: &Path, fps: f64) -> Result<()> {
+    if fps.is_finite() && fps > 0.0 {
+        return Ok(());
+    }
+    Err(Error::video(
+        path,
+        &format!("{fps} frames per second are not possible"),
+    ))
 }
 
 fn padded(side: usize) -> usize {
@@ -194,7 +241,9 @@ mod tests {
         let frames: Vec<_> = (0..40).map(|index| frame(index, width, height)).collect();
         write_mp4(&path, &frames, 10.0).unwrap();
 
-        let decoded = decode(&fs::read(&path).unwrap());
+        let written = fs::read(&path).unwrap();
+        assert_eq!(encode_mp4(&frames, 10.0).unwrap(), written);
+        let decoded = decode(&written);
         assert_eq!(decoded.len(), frames.len());
         for (index, (expected, actual)) in frames.iter().zip(&decoded).enumerate() {
             assert_eq!((actual.width, actual.height), (102, 68));

@@ -69,7 +69,9 @@ fn measure(config: &Config, spec: &EnvSpec, environments: u16, steps: u32) -> Ac
     let is_first = vec![false; usize::from(environments)];
     let mut decide = || {
         let images = preprocess(&pixels);
-        executed = model.step(&mut state, &images, &executed, &is_first, Actions::Sample);
+        executed = model
+            .step(&mut state, &images, &executed, &is_first, Actions::Sample)
+            .actions;
     };
     // Warm-up: libraries choose their kernels.
     for _ in 0..5 {

@@ -7,7 +7,7 @@ use anyhow::{Context, bail};
 use clap::Args;
 use isodream_actor::AgentPolicy;
 use isodream_actor::rollout::{Outcome, Pilot, episode};
-use isodream_envs::{Environment, ScriptedDriver, Statistics};
+use isodream_envs::{Environment, ScriptedDriver, Statistics, steps_per_s};
 use isodream_learner::checkpoint::Checkpoint;
 use isodream_model::Actions;
 use isodream_rpc::Role;
@@ -85,7 +85,7 @@ pub(super) fn run(args: &PlayArgs) -> anyhow::Result<()> {
         .iter()
         .map(|frame| frame.upscale(args.magnify.into()))
         .collect();
-    let frames_per_s = frames_per_s(&args.id, config.action_repeat);
+    let frames_per_s = steps_per_s(&args.id, config.action_repeat);
     match kind {
         Kind::Video => write_mp4(&args.out, frames, frames_per_s)?,
         Kind::Animation => write_gif(&args.out, &frames, frames_per_s)?,
@@ -142,8 +142,8 @@ fn watch(
         let steps = frames.borrow().len().saturating_sub(1);
         args.steps.is_none_or(|limit| steps < limit as usize)
     };
-    let outcome = episode(env, pilot, args.seed, &go_on, &mut |step, _| {
-        let picture = Rgb::new(shape.width, shape.height, step.image.clone());
+    let outcome = episode(env, pilot, args.seed, &go_on, &mut |moment| {
+        let picture = Rgb::new(shape.width, shape.height, moment.step.image.clone());
         frames.borrow_mut().push(picture);
     })?;
     Ok((outcome, frames.into_inner()))
@@ -157,14 +157,4 @@ fn sheet(frames: &[Rgb]) -> Rgb {
         .collect();
     let rows: Vec<Vec<Rgb>> = chosen.chunks(COLUMNS).map(<[Rgb]>::to_vec).collect();
     Rgb::tile(&rows, 2)
-}
-
-/// Agent steps per simulated second: both families simulate 20 to 50 frames in it.
-fn frames_per_s(id: &str, action_repeat: u32) -> f64 {
-    let simulated = if id.starts_with("highway/") {
-        20.0
-    } else {
-        50.0
-    };
-    (simulated / f64::from(action_repeat)).max(1.0)
 }

@@ -1,7 +1,7 @@
 //! What values settings may have.
 
-use super::Config;
 use super::load::ConfigError;
+use super::{Branches, Config};
 
 impl Config {
     /// Refuses the first setting that is out of range.
@@ -107,6 +107,12 @@ impl Config {
         }
         if self.behavior.rollout_window < 0 {
             return Err(invalid("behavior.rollout_window", "must not be negative"));
+        }
+        if self.model.branches == Branches::Controllable && self.model.indicator {
+            return Err(invalid(
+                "model.indicator",
+                "must be false where model.branches has no noncontrollable one",
+            ));
         }
         let tolerance = self.replay.limiter_tolerance_batches;
         if tolerance.is_nan() || tolerance < 1.0 {

@@ -12,7 +12,7 @@ mod training;
 
 pub use environment::{BackgroundOrder, EnvConfig, NoiseTarget, RepeatReward};
 pub use load::{ConfigError, PRESETS, Source};
-pub use model::{InverseInput, LossConfig, ModelConfig, VarianceLoss};
+pub use model::{Branches, FutureStates, InverseInput, LossConfig, ModelConfig, VarianceLoss};
 pub use replay::{ReplayConfig, SelectorKind, TableConfig};
 pub use training::{ActorConfig, BehaviorConfig, LearnerConfig, OptimizerConfig, Precision};
 

@@ -24,6 +24,29 @@ pub enum VarianceLoss {
     Paper,
 }
 
+/// Which branches a picture is made of. All but the first are for comparison.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Branches {
+    /// Controllable, noncontrollable and static: Iso-Dream++ (Eq. 5).
+    All,
+    /// Without the static one: `M^s o^s + (1 - M^s) o^z`.
+    Dynamic,
+    /// The controllable one alone: a Dreamer with Gaussian latents. Needs `indicator = false`; the weights of the losses
+    /// that concern the other branches are best set to 0.
+    Controllable,
+}
+
+/// How the rollout of noncontrollable states enters the policy.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FutureStates {
+    /// By attention (Eq. 13).
+    Attention,
+    /// All of them beside the controllable state, as in the paper's ablation.
+    Concatenation,
+}
+
 /// Sizes and options of the networks.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -57,6 +80,10 @@ pub struct ModelConfig {
     /// The paper's indicator: whether noncontrollable states enter reward and policy (driving), or are
     /// ignored as noise (video backgrounds).
     pub indicator: bool,
+    /// Which branches a picture is made of.
+    pub branches: Branches,
+    /// How the rollout of noncontrollable states enters the policy.
+    pub future: FutureStates,
     /// Whether the dependency gate lets controllable states into the noncontrollable transition (Eq. 11, 12).
     pub dependency_gate: bool,
     /// Whether the branch encoders see the previous action.
@@ -88,6 +115,8 @@ impl Default for ModelConfig {
             attention_dim: 500,
             background_frames: 10,
             indicator: true,
+            branches: Branches::All,
+            future: FutureStates::Attention,
             dependency_gate: true,
             encoder_actions: true,
             inverse: InverseInput::Posterior,

@@ -18,6 +18,7 @@ use crate::{EnvError, Environment};
 /// `dmc/walker_walk`, `dmc/walker_walk/video_easy` and `dmc/walker_walk/video_hard`, and so on for all tasks.
 pub(crate) const CONTROL: Family = Family {
     name: "dmc",
+    frames_per_s: 50.0,
     worlds: || {
         super::ids()
             .flat_map(|task| VARIANTS.map(|(variant, _)| format!("{task}{variant}")))

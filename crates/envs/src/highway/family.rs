@@ -11,6 +11,7 @@ use crate::{EnvError, Environment};
 /// `highway/day`, `highway/jam/night` and the like.
 pub(crate) const HIGHWAY: Family = Family {
     name: "highway",
+    frames_per_s: 20.0,
     worlds: || {
         let ids = Scene::NAMES.into_iter();
         ids.map(str::to_owned).collect()

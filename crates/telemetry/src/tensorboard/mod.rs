@@ -12,7 +12,7 @@ use prost::Message;
 
 use self::events::{Event, Image, SessionLog, Summary, Value, What, event, value};
 use crate::metrics::unix_time_secs;
-use crate::{Error, Result, Rgb};
+use crate::{Error, Gif, Result, Rgb};
 
 /// What TensorBoard expects in the first event of every file.
 const FILE_VERSION: &str = "brain.Event:2";
@@ -72,15 +72,36 @@ impl EventWriter {
     /// # Errors
     /// [`Error::Png`], [`Error::Io`].
     pub fn image(&mut self, frames: u64, time_secs: f64, name: &str, image: &Rgb) -> Result<()> {
-        let encoded = Image {
-            height: image.height as i32,
-            width: image.width as i32,
+        let size = (image.width, image.height);
+        self.encoded(frames, time_secs, name, size, image.encode_png()?)
+    }
+
+    /// Writes an animation, which TensorBoard shows moving among the pictures.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn animation(&mut self, frames: u64, time_secs: f64, name: &str, gif: &Gif) -> Result<()> {
+        let size = (gif.width, gif.height);
+        self.encoded(frames, time_secs, name, size, gif.bytes.clone())
+    }
+
+    fn encoded(
+        &mut self,
+        frames: u64,
+        time_secs: f64,
+        name: &str,
+        (width, height): (usize, usize),
+        bytes: Vec<u8>,
+    ) -> Result<()> {
+        let image = Image {
+            height: height as i32,
+            width: width as i32,
             colorspace: events::COLORSPACE_RGB,
-            encoded_image_string: image.encode_png()?,
+            encoded_image_string: bytes,
         };
         let value = Value {
             tag: name.to_owned(),
-            value: Some(value::Kind::Image(encoded)),
+            value: Some(value::Kind::Image(image)),
         };
         self.summary(frames, time_secs, vec![value])
     }
