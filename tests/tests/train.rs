@@ -1,9 +1,13 @@
 //! `isodream train` as a person uses it: interrupted, resumed, killed, and evaluated.
 
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use isodream_learner::checkpoint::Checkpoint;
+use isodream_telemetry::media::{EpisodeFacts, OpenLoopFacts};
 use isodream_tests::{Running, alive, free_address, isodream, learner_status, until};
 
 const LATER: Duration = Duration::from_secs(240);
@@ -12,7 +16,7 @@ const LATER: Duration = Duration::from_secs(240);
 fn an_interrupted_run_stops_in_ten_seconds_and_resumes_to_its_end() -> Result<()> {
     let folder = tempfile::tempdir()?;
     let run_dir = folder.path().join("run").display().to_string();
-    let learner = free_address()?;
+    let (learner, page) = (free_address()?, free_address()?);
     let shrink = ["--set", "learner.env_frames=2400"];
     let args = [
         &[
@@ -23,6 +27,8 @@ fn an_interrupted_run_stops_in_ten_seconds_and_resumes_to_its_end() -> Result<()
             &run_dir,
             "--learner-listen",
             &learner,
+            "--dashboard-listen",
+            &page,
             "--eval-episodes",
             "1",
         ],
@@ -34,6 +40,11 @@ fn an_interrupted_run_stops_in_ten_seconds_and_resumes_to_its_end() -> Result<()
     until("some updates are made", LATER, || {
         Ok(learner_status(&learner)?.filter(|status| status.updates >= 8))
     })?;
+    let live = get(&page, "/api/live")?;
+    ensure!(
+        live.contains("\"up\":true") && live.contains("\"id\":\"actor-0\""),
+        "the page does not know the run: {live}"
+    );
     let children = train.children()?;
     ensure!(
         children.len() == 5,
@@ -64,6 +75,7 @@ fn an_interrupted_run_stops_in_ten_seconds_and_resumes_to_its_end() -> Result<()
     ensure!(train.wait(LATER)?.success(), "the resumed run ends well");
     let finished = Checkpoint::find(run_dir.as_ref())?;
     ensure!(finished.counters.updates == finished.config.total_updates());
+    check_shown(run_dir.as_ref())?;
     ensure!(
         finished.counters.updates > stopped_at,
         "more updates than before"
@@ -92,6 +104,47 @@ fn an_interrupted_run_stops_in_ten_seconds_and_resumes_to_its_end() -> Result<()
             );
         }
     }
+    Ok(())
+}
+
+/// The body of what the page's server answers.
+fn get(address: &str, path: &str) -> Result<String> {
+    let mut stream = TcpStream::connect(address)?;
+    write!(stream, "GET {path} HTTP/1.0\r\nHost: {address}\r\n\r\n")?;
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer)?;
+    let (_, body) = answer.split_once("\r\n\r\n").context("no answer")?;
+    Ok(body.to_owned())
+}
+
+/// A run shows its evaluations and what its world model predicts.
+fn check_shown(run_dir: &Path) -> Result<()> {
+    let names: Vec<String> = std::fs::read_dir(run_dir.join("media"))?
+        .map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned()))
+        .collect::<Result<_>>()?;
+    let newest = |kind: &str| {
+        let described = |name: &&String| name.starts_with(kind) && name.ends_with(".json");
+        let newest = names.iter().filter(described).max();
+        newest.with_context(|| format!("no {kind} among {names:?}"))
+    };
+    let read = |name: &str| std::fs::read(run_dir.join("media").join(name));
+    let episode: EpisodeFacts = serde_json::from_slice(&read(newest("episode")?)?)?;
+    ensure!(episode.attention.len() == episode.length as usize);
+    ensure!(episode.gate.len() == episode.length as usize);
+    for weights in &episode.attention {
+        let sum: f32 = weights.iter().sum();
+        ensure!((sum - 1.0).abs() < 1e-4, "{weights:?} sum to {sum}");
+    }
+    let panel: OpenLoopFacts = serde_json::from_slice(&read(newest("open_loop")?)?)?;
+    ensure!(panel.error.len() == 8 && panel.error.iter().all(|error| *error > 0.0));
+    for name in [newest("episode")?, newest("open_loop")?] {
+        let video = read(&name.replace(".json", ".mp4"))?;
+        ensure!(video[4..8] == *b"ftyp", "{name} has no video");
+    }
+    let table = std::fs::read_to_string(run_dir.join("evaluations.csv"))?;
+    let columns = table.lines().next().context("evaluations.csv is empty")?;
+    ensure!(columns.starts_with("frames,updates,episode_id,score,length,end_reason,"));
+    ensure!(table.lines().count() > 1, "no evaluation in {table}");
     Ok(())
 }
 

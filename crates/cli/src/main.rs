@@ -1,10 +1,11 @@
 //! Iso-Dream++: world models with isolated imaginations, distributed.
 //!
 //! `isodream train` starts every role as a process of its own on this machine; `replay`, `learner` and `actor`
-//! start one role, anywhere. `eval`, `imagine` and `report` look at what a run has learned.
+//! start one role, anywhere. `eval`, `imagine`, `report` and `dashboard` look at what a run has learned.
 
 mod bench;
 mod config_args;
+mod dashboard;
 mod env;
 #[cfg(feature = "torch")]
 mod eval;
@@ -54,6 +55,8 @@ enum Command {
     /// Draw what the world model predicts, and measure how well its branches separate
     #[cfg(feature = "torch")]
     Imagine(imagine::ImagineArgs),
+    /// Show runs in a browser page, while they train and afterwards
+    Dashboard(dashboard::DashboardArgs),
     /// Draw the learning curves of runs
     Report(report::ReportArgs),
     /// Make certificates and tokens for a run over several machines
@@ -124,6 +127,7 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         Command::Eval(args) => eval::run(&args),
         #[cfg(feature = "torch")]
         Command::Imagine(args) => imagine::run(&args),
+        Command::Dashboard(args) => runtime.block_on(dashboard::run(args)),
         Command::Report(args) => report::run(&args),
         Command::Secrets(args) => secrets::run(&args),
         Command::Health(args) => runtime.block_on(health::run(args)),

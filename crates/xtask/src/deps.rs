@@ -17,6 +17,7 @@ const LAYERS: &[&[&str]] = &[
     &["isodream-model"],
     &["isodream-rpc"],
     &["isodream-telemetry"],
+    &["isodream-dashboard"],
     &[
         "isodream-replay-server",
         "isodream-actor",
@@ -34,6 +35,7 @@ const WITHOUT_TORCH: &[&str] = &[
     "isodream-replay",
     "isodream-rpc",
     "isodream-telemetry",
+    "isodream-dashboard",
     "isodream-replay-server",
     "isodream-chaos",
     "xtask",

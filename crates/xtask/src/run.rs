@@ -35,6 +35,15 @@ pub(crate) fn test(root: &Path, args: &[String]) -> Result<()> {
         let mut command = cargo(root, runner.iter().copied());
         run(command.args(["--workspace", "--locked"]).args(args))
     })?;
+    if args.is_empty() && answers(Command::new("chromium").arg("--version")) {
+        stage("the dashboard in Chromium", || {
+            let page = ["--package", "isodream-dashboard", "--test", "page"];
+            let mut command = cargo(root, ["test", "--locked", "--quiet"]);
+            run(command.args(page).args(["--", "--ignored"]))
+        })?;
+    } else if args.is_empty() {
+        eprintln!("xtask: the dashboard in Chromium: skipped, chromium is not installed");
+    }
     if args.is_empty() {
         stage("doc tests", || {
             run(&mut cargo(

@@ -14,10 +14,13 @@ use anyhow::{Context, ensure};
 use clap::Args;
 use isodream_core::Config;
 use isodream_core::config::EnvConfig;
+use isodream_dashboard::Sources;
 use isodream_envs::{EnvError, make};
 use isodream_rpc::{Dialer, Door, Role, environment_spec, remote_address, shutdown_on_signal};
+use tokio_util::task::AbortOnDropHandle;
 
 use crate::config_args::ConfigArgs;
+use crate::dashboard::PageArgs;
 use crate::eval::evaluate;
 use crate::output::print;
 use crate::security::DoorArgs;
@@ -54,6 +57,8 @@ pub(crate) struct TrainArgs {
     /// Listen where other machines can reach it though nothing guards it
     #[arg(long, env = "ISODREAM_INSECURE")]
     insecure: bool,
+    #[command(flatten)]
+    page: PageArgs,
 }
 
 /// Runs the command.
@@ -75,6 +80,7 @@ pub(crate) async fn run(args: TrainArgs) -> anyhow::Result<()> {
         })
         .transpose()?;
     let door = security.door()?;
+    let page = args.page.open_unless_off().await?;
     let replay = Place::find(&args.replay_listen, &door).await?;
     let learner = Place::find(&args.learner_listen, &door).await?;
     let config_path = args.run_dir.join("config.toml");
@@ -138,7 +144,24 @@ pub(crate) async fn run(args: TrainArgs) -> anyhow::Result<()> {
 
     let started = Instant::now();
     let asking = security.client.dialer(Role::Viewer)?;
-    let mut progress = Progress::new(&config, asking, &replay.reach, &learner.reach)?;
+    let mut progress = Progress::new(&config, asking.clone(), &replay.reach, &learner.reach)?;
+    let _showing = page.map(|page| {
+        eprintln!("dashboard at {}", page.url());
+        let sources = Sources {
+            dialer: asking,
+            learner: learner.reach.clone(),
+            replay: vec![replay.reach.clone()],
+        };
+        let (run_dir, stop) = (args.run_dir.clone(), shutdown.child_token());
+        AbortOnDropHandle::new(tokio::spawn(async move {
+            if let Err(error) = page.serve(&run_dir, Some(sources), stop).await {
+                tracing::warn!(
+                    error = format!("{error:#}"),
+                    "training goes on without a page"
+                );
+            }
+        }))
+    });
     let ended = loop {
         if let Err(error) = processes.tend() {
             processes.stop().await;
