@@ -95,7 +95,8 @@ pub struct ReplayView {
 }
 
 impl Sources {
-    pub(crate) async fn ask(&self) -> Live {
+    /// Asks all of them at once.
+    pub async fn ask(&self) -> Live {
         let mut asking = tokio::task::JoinSet::new();
         for (index, address) in self.replay.iter().cloned().enumerate() {
             let dialer = self.dialer.clone();

@@ -144,14 +144,17 @@ pub(crate) async fn run(args: TrainArgs) -> anyhow::Result<()> {
 
     let started = Instant::now();
     let asking = security.client.dialer(Role::Viewer)?;
-    let mut progress = Progress::new(&config, asking.clone(), &replay.reach, &learner.reach)?;
+    // Wrong addresses are told before anything starts.
+    asking.learner(&learner.reach)?;
+    asking.replay(&replay.reach)?;
+    let sources = Sources {
+        dialer: asking,
+        learner: learner.reach.clone(),
+        replay: vec![replay.reach.clone()],
+    };
+    let mut progress = Progress::new(&config, sources.clone());
     let _showing = page.map(|page| {
         eprintln!("dashboard at {}", page.url());
-        let sources = Sources {
-            dialer: asking,
-            learner: learner.reach.clone(),
-            replay: vec![replay.reach.clone()],
-        };
         let (run_dir, stop) = (args.run_dir.clone(), shutdown.child_token());
         AbortOnDropHandle::new(tokio::spawn(async move {
             if let Err(error) = page.serve(&run_dir, Some(sources), stop).await {

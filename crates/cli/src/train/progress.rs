@@ -5,24 +5,18 @@ use std::time::{Duration, Instant};
 
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use isodream_core::Config;
-use isodream_proto::v1;
-use isodream_rpc::Dialer;
+use isodream_dashboard::{LearnerView, ReplayView, Sources};
 
 use super::processes::{Process, Processes};
 
 /// Pause between two lines where there is no terminal to draw on.
 const PLAIN_INTERVAL: Duration = Duration::from_secs(15);
 
-/// How long a role may take to answer.
-const ANSWER_DEADLINE: Duration = Duration::from_millis(500);
-
 /// Asks the roles how they are and draws their answers.
 pub(crate) struct Progress {
     bars: MultiProgress,
     lines: Vec<ProgressBar>,
-    dialer: Dialer,
-    learner: String,
-    replay: String,
+    sources: Sources,
     total_updates: u64,
     action_repeat: u64,
     terminal: bool,
@@ -33,32 +27,22 @@ pub(crate) struct Progress {
 /// The newest answers; none from a role that has never been up.
 #[derive(Default)]
 struct Answers {
-    learner: Option<v1::LearnerStatus>,
-    replay: Option<v1::ReplayStatus>,
+    learner: Option<LearnerView>,
+    replay: Option<ReplayView>,
 }
 
 impl Progress {
-    pub(crate) fn new(
-        config: &Config,
-        dialer: Dialer,
-        replay: &str,
-        learner: &str,
-    ) -> anyhow::Result<Self> {
-        // Wrong addresses are told before anything starts.
-        dialer.learner(learner)?;
-        dialer.replay(replay)?;
-        Ok(Self {
+    pub(crate) fn new(config: &Config, sources: Sources) -> Self {
+        Self {
             bars: MultiProgress::new(),
             lines: Vec::new(),
-            dialer,
-            learner: learner.to_owned(),
-            replay: replay.to_owned(),
+            sources,
             total_updates: config.total_updates(),
             action_repeat: u64::from(config.env.action_repeat),
             terminal: std::io::stderr().is_terminal(),
             next_plain: Instant::now() + PLAIN_INTERVAL,
             answers: Answers::default(),
-        })
+        }
     }
 
     /// Renews the display.
@@ -66,10 +50,11 @@ impl Progress {
         if !self.terminal && Instant::now() < self.next_plain {
             return;
         }
-        let answers = self.ask().await;
+        let live = self.sources.ask().await;
         // A role that is being restarted keeps its last words on the screen.
-        self.answers.learner = answers.learner.or(self.answers.learner.take());
-        self.answers.replay = answers.replay.or(self.answers.replay.take());
+        self.answers.learner = live.learner.or(self.answers.learner.take());
+        let replay = live.replay.into_iter().find(|replay| replay.up);
+        self.answers.replay = replay.or(self.answers.replay.take());
         if self.terminal {
             self.draw(processes);
         } else {
@@ -85,37 +70,6 @@ impl Progress {
     pub(crate) fn close(&self) {
         for line in &self.lines {
             line.abandon();
-        }
-    }
-
-    async fn ask(&self) -> Answers {
-        let learner = async {
-            let mut client = self.dialer.learner(&self.learner).ok()?;
-            Some(
-                client
-                    .status(v1::LearnerStatusRequest {})
-                    .await
-                    .ok()?
-                    .into_inner(),
-            )
-        };
-        let replay = async {
-            let mut client = self.dialer.replay(&self.replay).ok()?;
-            Some(
-                client
-                    .status(v1::ReplayStatusRequest {})
-                    .await
-                    .ok()?
-                    .into_inner(),
-            )
-        };
-        let (learner, replay) = tokio::join!(
-            tokio::time::timeout(ANSWER_DEADLINE, learner),
-            tokio::time::timeout(ANSWER_DEADLINE, replay)
-        );
-        Answers {
-            learner: learner.ok().flatten(),
-            replay: replay.ok().flatten(),
         }
     }
 
@@ -163,7 +117,7 @@ impl Progress {
         }
     }
 
-    fn replay_line(&self, status: &v1::ReplayStatus) -> String {
+    fn replay_line(&self, status: &ReplayView) -> String {
         let mut line = format!(
             "{} frames  {} steps in {} episodes  {:.0} MB",
             status.inserted_steps * self.action_repeat,
@@ -185,31 +139,27 @@ impl Progress {
     }
 }
 
-fn learner_line(status: &v1::LearnerStatus) -> String {
+fn learner_line(status: &LearnerView) -> String {
     format!(
         "{}/{} updates  {:.1}/s  return {}  eval {}  waited {:.0}%  {}",
         status.updates,
         status.total_updates,
         status.updates_per_s,
-        score(status.collect_episodes, status.collect_score),
-        score(status.evaluate_episodes, status.evaluate_score),
+        score(status.collect_score),
+        score(status.evaluate_score),
         100.0 * status.wait_share,
         status.phase
     )
 }
 
-fn actor_line(status: &v1::LearnerStatus, name: &str) -> Option<String> {
-    let actor = status.actors.iter().find(|actor| actor.actor_id == name)?;
+fn actor_line(status: &LearnerView, name: &str) -> Option<String> {
+    let actor = status.actors.iter().find(|actor| actor.id == name)?;
     Some(format!(
         "{} episodes  {} frames  last return {:.1}  policy lag {} updates",
         actor.episodes, actor.env_frames, actor.last_score, actor.policy_lag
     ))
 }
 
-fn score(episodes: u64, value: f64) -> String {
-    if episodes == 0 {
-        "-".into()
-    } else {
-        format!("{value:.1}")
-    }
+fn score(value: Option<f64>) -> String {
+    value.map_or_else(|| "-".into(), |value| format!("{value:.1}"))
 }
