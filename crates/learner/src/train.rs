@@ -57,6 +57,10 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
     let listener = isodream_rpc::bind(&options.listen, &options.door).await?;
     let (run_lock, learner_epoch) = lock(&options.run_dir)?;
     let config = &options.config;
+    // What reads a run directory, `isodream dashboard` for one, knows a run by it.
+    let config_path = options.run_dir.join("config.toml");
+    std::fs::write(&config_path, config.to_toml())
+        .with_context(|| format!("cannot write {}", config_path.display()))?;
     let checkpoint = Checkpoint::load_newest(&options.run_dir.join("checkpoints"))?;
     if let Some(checkpoint) = &checkpoint {
         check_belongs(checkpoint, &options)?;

@@ -7,6 +7,7 @@ mod table;
 mod watch;
 
 use std::fs;
+use std::net::TcpListener;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::Path;
 use std::process;
@@ -17,7 +18,7 @@ use clap::Args;
 
 use self::project::{Project, give_to_containers, inspect};
 use self::table::Table;
-use self::watch::{REPLAY_DIR, Watch, has_steps_of, wait};
+use self::watch::{REPLAY_DIR, Watch, get, has_steps_of, wait};
 use crate::docker::{self, docker, quiet};
 use crate::image::{self, BuildArgs, Image};
 use crate::run::target_dir;
@@ -87,6 +88,9 @@ fn prepare(root: &Path, images: &BuildArgs) -> Result<Project> {
         ("ISODREAM_CONFIG", path(&configuration)),
         ("ISODREAM_SECRETS", path(&secrets)),
     ];
+    // Any that is free: others may show their runs on this machine.
+    let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
+    environment.push(("DASHBOARD_PORT", port.to_string()));
     environment.extend(LIMITS.map(|(name, value)| (name, value.into())));
     let file = root.join("deploy/compose/compose.yaml");
     let project = Project::new(name, file, folder, environment)?;
@@ -112,6 +116,9 @@ fn survive(root: &Path, project: &Project, table: &mut Table) -> Result<()> {
         Ok(())
     })?;
     stage("strangers are refused", || strangers(project))?;
+    stage("the page shows the run to who has the token", || {
+        page(project)
+    })?;
     stage("the dashboard's metrics exist", || {
         let served = watch
             .metrics()
@@ -159,6 +166,31 @@ fn strangers(project: &Project) -> Result<()> {
         "a client without a certificate got an answer"
     );
     ensure!(ask(&[]).is_err(), "an unencrypted client got an answer");
+    Ok(())
+}
+
+/// The page knows the run and its roles, and nobody sees it without the token.
+fn page(project: &Project) -> Result<()> {
+    let page = inspect(&project.container("dashboard")?)?;
+    let address = format!(
+        "{}:7080",
+        page.address().context("the page has no address")?
+    );
+    let token = fs::read_to_string(project.folder.join("secrets/viewer.token"))?;
+    let authorization = format!("Authorization: Bearer {}\r\n", token.trim());
+    let runs = wait("a page that knows the run", || {
+        // Not up yet counts as not knowing it.
+        let runs = get(&address, "/api/runs", &authorization).unwrap_or_default();
+        Ok(runs.contains("\"id\":\"run\"").then_some(runs))
+    })?;
+    ensure!(runs.contains("\"live\":true"), "{runs}");
+    let live = get(&address, "/api/live", &authorization)?;
+    ensure!(
+        live.contains("\"up\":true") && live.contains("\"updates\":"),
+        "the page does not know the roles: {live}"
+    );
+    let stranger = get(&address, "/api/runs", "")?;
+    ensure!(stranger.contains(" 401 "), "{stranger}");
     Ok(())
 }
 

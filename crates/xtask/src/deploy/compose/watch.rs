@@ -104,13 +104,7 @@ impl<'a> Watch<'a> {
     /// The replay-server's metrics as Prometheus would get them; none while it does not answer.
     pub(super) fn metrics(&self) -> Option<String> {
         let replay = inspect(&self.project.container("replay").ok()?).ok()?;
-        let address = format!("{}:9100", replay.address()?).parse().ok()?;
-        let limit = Duration::from_secs(2);
-        let mut stream = TcpStream::connect_timeout(&address, limit).ok()?;
-        stream.set_read_timeout(Some(limit)).ok()?;
-        stream.write_all(b"GET /metrics HTTP/1.0\r\n\r\n").ok()?;
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).ok()?;
+        let answer = get(&format!("{}:9100", replay.address()?), "/metrics", "").ok()?;
         Some(answer.split_once("\r\n\r\n")?.1.to_owned())
     }
 
@@ -121,6 +115,20 @@ impl<'a> Watch<'a> {
         docker(&["cp", &from, copy.to_str()?]).ok()?;
         last_updates(&fs::read_to_string(copy).ok()?)
     }
+}
+
+/// A whole answer over HTTP, head and body; `headers` are lines.
+pub(super) fn get(address: &str, path: &str, headers: &str) -> Result<String> {
+    let limit = Duration::from_secs(2);
+    let mut stream = TcpStream::connect_timeout(&address.parse()?, limit)?;
+    stream.set_read_timeout(Some(limit))?;
+    write!(
+        stream,
+        "GET {path} HTTP/1.0\r\nHost: {address}\r\n{headers}\r\n"
+    )?;
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer)?;
+    Ok(answer)
 }
 
 /// Asks until there is an answer.
