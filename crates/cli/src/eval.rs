@@ -26,6 +26,9 @@ pub(crate) struct EvalArgs {
     /// Episodes per policy
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..))]
     episodes: u64,
+    /// Evaluate under other settings than the run's, for example env.id=dmc/walker_walk/video_hard; may be repeated
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<String>,
     /// Print JSON instead of a table
     #[arg(long)]
     json: bool,
@@ -58,22 +61,25 @@ pub(crate) struct Evaluation {
 /// Runs the command.
 pub(crate) fn run(args: &EvalArgs) -> anyhow::Result<()> {
     let dialer = args.security.dialer(Role::Actor)?;
-    let evaluation = evaluate(&dialer, &args.checkpoint, args.episodes, &|| true)?;
+    let evaluation = evaluate(&dialer, &args.checkpoint, &args.set, args.episodes, &|| {
+        true
+    })?;
     print_result(&evaluation, args.json, Evaluation::table)
 }
 
-/// Evaluates the newest checkpoint in `path`.
+/// Evaluates the newest checkpoint in `path`, with some settings changed by `set`.
 ///
 /// # Errors
 /// Where there is no checkpoint, the environment fails, or `go_on` says no.
 pub(crate) fn evaluate(
     dialer: &Dialer,
     path: &Path,
+    set: &[String],
     episodes: u64,
     go_on: &dyn Fn() -> bool,
 ) -> anyhow::Result<Evaluation> {
     let checkpoint = Checkpoint::find(path)?;
-    let config = &checkpoint.config;
+    let config = &checkpoint.config.with(set)?;
     let mut env = isodream_rpc::open_environment(dialer, &config.env)?;
     let spec = env.spec().clone();
     tch::manual_seed(derive_seed(config.seed, &["eval", "noise"]) as i64);

@@ -9,6 +9,8 @@ mod dashboard;
 mod env;
 #[cfg(feature = "torch")]
 mod eval;
+#[cfg(feature = "torch")]
+mod experiment;
 mod health;
 #[cfg(feature = "torch")]
 mod imagine;
@@ -55,6 +57,10 @@ enum Command {
     /// Draw what the world model predicts, and measure how well its branches separate
     #[cfg(feature = "torch")]
     Imagine(imagine::ImagineArgs),
+    /// The paper's tables and figures, each by one command
+    #[cfg(feature = "torch")]
+    #[command(subcommand)]
+    Experiment(experiment::ExperimentCommand),
     /// Show runs in a browser page, while they train and afterwards
     Dashboard(dashboard::DashboardArgs),
     /// Draw the learning curves of runs
@@ -127,6 +133,8 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         Command::Eval(args) => eval::run(&args),
         #[cfg(feature = "torch")]
         Command::Imagine(args) => imagine::run(&args),
+        #[cfg(feature = "torch")]
+        Command::Experiment(command) => runtime.block_on(experiment::run(command)),
         Command::Dashboard(args) => runtime.block_on(dashboard::run(args)),
         Command::Report(args) => report::run(&args),
         Command::Secrets(args) => secrets::run(&args),

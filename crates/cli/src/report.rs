@@ -37,9 +37,9 @@ const COLORS: [RGBColor; 6] = [
 ];
 
 /// One run's values over environment frames; values at the same frames are averaged.
-struct Curve {
+pub(crate) struct Curve {
     name: String,
-    points: Vec<(f64, f64)>,
+    pub(crate) points: Vec<(f64, f64)>,
 }
 
 /// Runs the command.
@@ -72,7 +72,7 @@ fn level(text: &str) -> anyhow::Result<(String, f64)> {
 }
 
 impl Curve {
-    fn read(run: &Path, metric: &str) -> anyhow::Result<Self> {
+    pub(crate) fn read(run: &Path, metric: &str) -> anyhow::Result<Self> {
         let path = run.join("metrics.jsonl");
         let text = std::fs::read_to_string(&path)
             .with_context(|| format!("cannot read {}", path.display()))?;
@@ -111,7 +111,7 @@ impl Curve {
     }
 
     /// Every value replaced by the mean of the newest `window` up to it.
-    fn smoothed(self, window: usize) -> Self {
+    pub(crate) fn smoothed(self, window: usize) -> Self {
         let points = &self.points;
         let mean = |index: usize| {
             let newest = &points[(index + 1).saturating_sub(window)..=index];

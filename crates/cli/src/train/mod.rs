@@ -198,7 +198,7 @@ pub(crate) async fn run(args: TrainArgs) -> anyhow::Result<()> {
     eprintln!("evaluating {} episodes per policy ...", args.eval_episodes);
     let go_on = || !shutdown.is_cancelled();
     let evaluation = tokio::task::block_in_place(|| {
-        evaluate(&dialer, &args.run_dir, args.eval_episodes, &go_on)
+        evaluate(&dialer, &args.run_dir, &[], args.eval_episodes, &go_on)
     })?;
     let file = args.run_dir.join("evaluation.json");
     std::fs::write(&file, serde_json::to_string_pretty(&evaluation)?)

@@ -93,7 +93,20 @@ impl Config {
             })?;
             merge_text(&mut merged, &text, &path.display().to_string())?;
         }
-        for setting in &source.set {
+        Self::resolve(merged, &source.set)
+    }
+
+    /// This configuration with some `a.b=v` settings changed.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn with(&self, set: &[String]) -> Result<Self, ConfigError> {
+        let merged = Table::try_from(self).expect("a configuration is plain data");
+        Self::resolve(merged, set)
+    }
+
+    fn resolve(mut merged: Table, set: &[String]) -> Result<Self, ConfigError> {
+        for setting in set {
             merge_setting(&mut merged, setting)?;
         }
         let config: Self =
