@@ -1,0 +1,73 @@
+//! An experiment from its first run to its report.
+
+use anyhow::{Result, ensure};
+use isodream_tests::isodream;
+
+#[test]
+fn an_experiment_is_run_once_and_reported_beside_the_paper() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let out = folder.path().display().to_string();
+    let experiment = |command: &str| {
+        isodream(&[
+            "experiment",
+            command,
+            "driving",
+            "--scale",
+            "smoke",
+            "--out",
+            &out,
+        ])
+    };
+    let early = experiment("report")?;
+    let words = String::from_utf8_lossy(&early.stderr).into_owned();
+    ensure!(
+        !early.status.success() && words.contains("isodream experiment run driving"),
+        "{words}"
+    );
+
+    let first = experiment("run")?;
+    let words = String::from_utf8_lossy(&first.stderr).into_owned();
+    ensure!(first.status.success(), "{words}");
+    ensure!(
+        words.contains("2 of 2: single_branch/seed-0: done"),
+        "{words}"
+    );
+    let again = experiment("run")?;
+    let words = String::from_utf8_lossy(&again.stderr).into_owned();
+    ensure!(again.status.success(), "{words}");
+    ensure!(words.matches("was made before").count() == 2, "{words}");
+
+    let report = experiment("report")?;
+    ensure!(report.status.success(), "{report:?}");
+    let made = folder.path().join("driving/smoke");
+    let markdown = std::fs::read_to_string(made.join("report.md"))?;
+    ensure!(
+        markdown.contains("| Iso-Dream++ | 1 | ") && markdown.contains(" | about 60 |"),
+        "{markdown}"
+    );
+    ensure!(markdown.contains("2 of 2 runs, each of 1"), "{markdown}");
+    let html = std::fs::read_to_string(made.join("report.html"))?;
+    ensure!(
+        html.contains("<td>single branch (the paper: DreamerV2)</td>"),
+        "{html}"
+    );
+    let curves = std::fs::read_to_string(made.join("curves.svg"))?;
+    ensure!(curves.contains("Iso-Dream++"), "the figure has no legend");
+    Ok(())
+}
+
+#[test]
+fn unknown_names_are_refused_with_those_that_there_are() -> Result<()> {
+    for (args, words) in [
+        (&["experiment", "run", "drivin"][..], "known: driving, "),
+        (
+            &["experiment", "run", "driving", "--methods", "x"],
+            "--methods x: known are iso_dream_pp, single_branch",
+        ),
+    ] {
+        let output = isodream(args)?;
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        ensure!(!output.status.success() && said.contains(words), "{said}");
+    }
+    Ok(())
+}
