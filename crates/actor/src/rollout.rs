@@ -45,7 +45,7 @@ pub struct Moment<'a> {
 /// Is shown an episode, moment after moment.
 pub type Watch<'a> = &'a mut dyn FnMut(&Moment<'_>);
 
-/// Runs one episode, or less if `go_on` says so.
+/// Runs one episode, or less if `go_on` says so, which is asked before each moment is shown.
 ///
 /// # Errors
 /// Where the environment fails.

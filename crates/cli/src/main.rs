@@ -5,7 +5,9 @@
 
 mod bench;
 mod config_args;
+mod config_reference;
 mod dashboard;
+mod doctor;
 mod env;
 #[cfg(feature = "torch")]
 mod eval;
@@ -65,6 +67,11 @@ enum Command {
     Dashboard(dashboard::DashboardArgs),
     /// Draw the learning curves of runs
     Report(report::ReportArgs),
+    /// Look at configurations
+    #[command(subcommand)]
+    Config(config_reference::ConfigCommand),
+    /// Check this machine: processor, memory, disk, libraries, ports
+    Doctor(doctor::DoctorArgs),
     /// Make certificates and tokens for a run over several machines
     Secrets(secrets::SecretsArgs),
     /// Ask a server whether it serves
@@ -111,7 +118,7 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
     let filter = match &command {
         #[cfg(feature = "torch")]
         Command::Train(_) => "warn",
-        Command::Env(_) | Command::Bench(_) | Command::Health(_) => "warn",
+        Command::Env(_) | Command::Bench(_) | Command::Health(_) | Command::Doctor(_) => "warn",
         _ => "info",
     };
     init_logging(filter, LogFormat::Text)?;
@@ -137,6 +144,8 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         Command::Experiment(command) => runtime.block_on(experiment::run(command)),
         Command::Dashboard(args) => runtime.block_on(dashboard::run(args)),
         Command::Report(args) => report::run(&args),
+        Command::Config(command) => config_reference::run(&command),
+        Command::Doctor(args) => doctor::run(&args),
         Command::Secrets(args) => secrets::run(&args),
         Command::Health(args) => runtime.block_on(health::run(args)),
         Command::Env(command) => env::run(&command, &runtime),

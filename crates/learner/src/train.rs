@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail, ensure};
+use isodream_core::config::LearnerConfig;
 use isodream_core::derive_seed;
 use isodream_model::Agent;
 use isodream_model::agent::Metric;
@@ -172,6 +173,26 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
     Ok(finished)
 }
 
+/// Begins a new run with parameters of another one.
+fn transfer(agent: &mut Agent, config: &LearnerConfig) -> anyhow::Result<()> {
+    let from = Checkpoint::find(config.initial.as_ref()).context("learner.initial")?;
+    let taken = agent
+        .transfer(&from.model, &config.initial_parts)
+        .with_context(|| format!("learner.initial: {} does not fit this run", config.initial))?;
+    ensure!(
+        taken > 0,
+        "learner.initial_parts: no parameter has one of {:?} in its name; write for example noncontrollable",
+        config.initial_parts
+    );
+    tracing::info!(
+        taken,
+        from = config.initial,
+        updates = from.counters.updates,
+        "transferred parameters"
+    );
+    Ok(())
+}
+
 /// Comes when a stop has been waited for long enough.
 async fn overdue(shutdown: &CancellationToken, patience: Duration) {
     shutdown.cancelled().await;
@@ -252,6 +273,9 @@ impl Training {
                 updates = checkpoint.counters.updates,
                 "resumed from checkpoint"
             );
+        }
+        if !resumed && !config.learner.initial.is_empty() {
+            transfer(&mut agent, &config.learner)?;
         }
         let resume = resumed.then_some(ResumePoint {
             frames: self.counters.env_frames,

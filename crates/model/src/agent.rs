@@ -169,6 +169,30 @@ impl Agent {
         )
     }
 
+    /// Takes over weights of another agent, for transfer: those with one of the words `parts` in their name, or all.
+    /// Moments and counters stay at their beginning. Returns how many tensors were taken.
+    ///
+    /// # Errors
+    /// [`LoadError`] where such a tensor is missing or of another shape.
+    pub fn transfer(&mut self, model: &[u8], parts: &[String]) -> Result<usize, LoadError> {
+        let file = safetensors::SafeTensors::deserialize(model)?;
+        let wanted = |name: &str| {
+            let mut words = name.split('.');
+            parts.is_empty() || words.any(|word| parts.iter().any(|part| part == word))
+        };
+        let groups = &mut self.groups;
+        let mut taken = 0;
+        for params in [
+            &mut groups.world.0,
+            &mut groups.actor.0,
+            &mut groups.critic.0,
+            &mut groups.slow_critic,
+        ] {
+            taken += params.load_where(&file, wanted)?;
+        }
+        Ok(taken)
+    }
+
     /// All weights, as safetensors bytes with the names of the parameters.
     pub fn save_model(&self) -> Vec<u8> {
         let groups = &self.groups;

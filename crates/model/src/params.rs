@@ -114,18 +114,31 @@ impl Params {
     /// # Errors
     /// [`LoadError`] names the tensor that is missing or of another shape; nothing is changed then.
     pub fn load(&mut self, file: &SafeTensors<'_>) -> Result<(), LoadError> {
-        let mut loaded = Vec::with_capacity(self.entries.len());
-        for (name, tensor) in &self.entries {
+        self.load_where(file, |_| true).map(drop)
+    }
+
+    /// [`Self::load`] for the parameters whose names are `wanted`. Returns how many there are.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn load_where(
+        &mut self,
+        file: &SafeTensors<'_>,
+        wanted: impl Fn(&str) -> bool,
+    ) -> Result<usize, LoadError> {
+        let mut loaded = Vec::new();
+        for (name, tensor) in self.entries.iter_mut().filter(|(name, _)| wanted(name)) {
             let view = file
                 .tensor(name)
                 .map_err(|_| LoadError::Missing(name.clone()))?;
-            loaded.push(tensor_of(name, &view, &tensor.size())?);
+            let value = tensor_of(name, &view, &tensor.size())?;
+            loaded.push((tensor, value));
         }
         let _guard = tch::no_grad_guard();
-        for ((_, tensor), value) in self.entries.iter_mut().zip(&loaded) {
+        for (tensor, value) in &mut loaded {
             tensor.copy_(value);
         }
-        Ok(())
+        Ok(loaded.len())
     }
 }
 

@@ -282,3 +282,47 @@ fn bf16_products_move_losses_and_gradient_norms_little() {
         "nothing was multiplied in bf16"
     );
 }
+
+#[test]
+fn a_transfer_takes_the_parts_it_is_told_and_nothing_else() {
+    let _alone = alone();
+    let agent = |seed: u64| {
+        let mut config = small(&[]);
+        config.seed = seed;
+        Agent::new(&config, &spec(), Device::Cpu)
+    };
+    let (from, mut to) = (agent(1), agent(2));
+    let differing = |a: &Agent, b: &Agent| -> Vec<String> {
+        let (a, b) = (a.save_model(), b.save_model());
+        let a = safetensors::SafeTensors::deserialize(&a).expect("own bytes");
+        let b = safetensors::SafeTensors::deserialize(&b).expect("own bytes");
+        let names = a.names().into_iter().filter(|name| {
+            let of = |file: &safetensors::SafeTensors<'_>| {
+                file.tensor(name).expect("the same").data().to_vec()
+            };
+            of(&a) != of(&b)
+        });
+        names.map(str::to_owned).collect()
+    };
+    let all = differing(&from, &to);
+    let taken = to
+        .transfer(&from.save_model(), &["noncontrollable".into()])
+        .expect("the same model");
+    let left = differing(&from, &to);
+    let of_branch = |name: &&String| name.contains(".noncontrollable.");
+    assert!(all.iter().filter(of_branch).count() > 10);
+    assert_eq!(left.iter().filter(of_branch).count(), 0);
+    assert_eq!(
+        left.len(),
+        all.iter().filter(|name| !of_branch(name)).count()
+    );
+    assert!(taken >= all.iter().filter(of_branch).count());
+
+    assert_eq!(
+        to.transfer(&from.save_model(), &["nobody".into()])
+            .expect("nothing"),
+        0
+    );
+    to.transfer(&from.save_model(), &[]).expect("everything");
+    assert_eq!(differing(&from, &to), Vec::<String>::new());
+}

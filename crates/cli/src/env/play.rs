@@ -137,9 +137,9 @@ fn watch(
 ) -> anyhow::Result<(Outcome, Vec<Rgb>)> {
     let shape = env.spec().image;
     let frames = RefCell::new(Vec::new());
-    // The first picture is that of the reset.
+    // Asked before a moment's picture is taken, and the first picture is that of the reset.
     let go_on = || {
-        let steps = frames.borrow().len().saturating_sub(1);
+        let steps = frames.borrow().len();
         args.steps.is_none_or(|limit| steps < limit as usize)
     };
     let outcome = episode(env, pilot, args.seed, &go_on, &mut |moment| {

@@ -30,6 +30,14 @@ const FILES: &[(&str, &str)] = &[
         "dmc-generalization",
         include_str!("../../../../experiments/dmc-generalization.toml"),
     ),
+    (
+        "transfer-noncontrollable",
+        include_str!("../../../../experiments/transfer-noncontrollable.toml"),
+    ),
+    (
+        "transfer-controllable",
+        include_str!("../../../../experiments/transfer-controllable.toml"),
+    ),
 ];
 
 /// How large an experiment is.
@@ -94,6 +102,7 @@ pub(super) struct Size {
 pub(super) struct Method {
     pub(super) name: String,
     pub(super) label: String,
+    /// `{source}` stands for the run directory of the method of that name, which is trained before.
     #[serde(default)]
     pub(super) set: Vec<String>,
     /// The paper's words or numbers: by task, `return` where there is only one, `TEST/TASK` for tests.

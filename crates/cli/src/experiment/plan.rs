@@ -23,7 +23,12 @@ pub(super) struct Run {
     pub(super) tests: Vec<Variant>,
     /// Its run directory.
     pub(super) dir: PathBuf,
+    /// What the run that it begins with writes last.
+    pub(super) source: Option<PathBuf>,
 }
+
+/// The method whose runs others may begin with.
+const SOURCE: &str = "source";
 
 impl Plan {
     pub(super) fn new(
@@ -36,24 +41,34 @@ impl Plan {
         for seed in 0..size.seeds {
             for task in &definition.tasks {
                 for method in &definition.methods {
+                    let dir = |method: &str| {
+                        let dir = folder.join(&task.name).join(method);
+                        dir.join(format!("seed-{seed}"))
+                    };
                     let mut set = [&size.set[..], &task.set, &method.set].concat();
                     set.push(format!("seed={seed}"));
-                    let named = |variant: &Variant| Variant {
-                        set: named(&variant.set, &task.name),
-                        ..variant.clone()
+                    let needs_source = set.iter().any(|setting| setting.contains("{source}"));
+                    let source = dir(SOURCE).display().to_string();
+                    let named = |set: &[String]| -> Vec<String> {
+                        set.iter()
+                            .map(|text| text.replace("{task}", &task.name))
+                            .map(|text| text.replace("{source}", &source))
+                            .collect()
+                    };
+                    let test = |test: &Variant| Variant {
+                        set: named(&test.set),
+                        ..test.clone()
                     };
                     runs.push(Run {
                         task: task.name.clone(),
                         method: method.name.clone(),
                         seed,
                         preset: size.preset.clone(),
-                        set: self::named(&set, &task.name),
+                        set: named(&set),
                         episodes: size.episodes,
-                        tests: definition.tests.iter().map(named).collect(),
-                        dir: folder
-                            .join(&task.name)
-                            .join(&method.name)
-                            .join(format!("seed-{seed}")),
+                        tests: definition.tests.iter().map(test).collect(),
+                        dir: dir(&method.name),
+                        source: needs_source.then(|| evaluation(&dir(SOURCE))),
                     });
                 }
             }
@@ -71,7 +86,12 @@ impl Run {
 
     /// What the final comparison writes last: a run that has it was trained.
     pub(super) fn evaluation(&self) -> PathBuf {
-        self.dir.join("evaluation.json")
+        evaluation(&self.dir)
+    }
+
+    /// Whether what it begins with is there.
+    pub(super) fn can_begin(&self) -> bool {
+        self.source.as_ref().is_none_or(|source| source.exists())
     }
 
     pub(super) fn test(&self, test: &Variant) -> PathBuf {
@@ -79,9 +99,6 @@ impl Run {
     }
 }
 
-/// Settings with the task's name in its place.
-fn named(set: &[String], task: &str) -> Vec<String> {
-    set.iter()
-        .map(|text| text.replace("{task}", task))
-        .collect()
+fn evaluation(dir: &Path) -> PathBuf {
+    dir.join("evaluation.json")
 }

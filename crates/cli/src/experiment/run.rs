@@ -40,7 +40,8 @@ pub(super) async fn run(args: &RunArgs) -> anyhow::Result<()> {
     let (mut working, mut failed) = (JoinSet::new(), Vec::new());
     loop {
         while working.len() < usize::from(args.parallel) && !shutdown.is_cancelled() {
-            let Some(run) = waiting.pop_front() else {
+            let next = waiting.iter().position(Run::can_begin);
+            let Some(run) = next.and_then(|next| waiting.remove(next)) else {
                 break;
             };
             let stop = shutdown.clone();
@@ -63,9 +64,10 @@ pub(super) async fn run(args: &RunArgs) -> anyhow::Result<()> {
         !shutdown.is_cancelled(),
         "interrupted; the same command goes on from here"
     );
+    failed.extend(waiting.iter().map(Run::name));
     ensure!(
         failed.is_empty(),
-        "{} of {count} runs failed: {}; the same command tries them again",
+        "{} of {count} runs failed, or have no source to begin with: {}; the same command tries them again",
         failed.len(),
         failed.join(", ")
     );

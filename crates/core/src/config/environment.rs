@@ -1,9 +1,10 @@
 //! `[env]`
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// How the rewards of the repeated frames make the reward of an agent step.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RepeatReward {
     /// Their mean (the authors' driving setup).
@@ -24,7 +25,7 @@ impl RepeatReward {
 }
 
 /// Which background video an episode shows.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BackgroundOrder {
     /// The episode's seed decides: the same seed shows the same pictures anywhere.
@@ -34,7 +35,7 @@ pub enum BackgroundOrder {
 }
 
 /// Which pixels Gaussian noise falls on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NoiseTarget {
     /// All of them.
@@ -44,7 +45,7 @@ pub enum NoiseTarget {
 }
 
 /// The environment and how it is stepped.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EnvConfig {
     /// Stable name, for example `highway/day` (a closed loop), `highway/straight/night`, `highway/s_curve/day` or `highway/jam/day`;

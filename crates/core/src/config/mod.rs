@@ -16,10 +16,11 @@ pub use model::{Branches, FutureStates, InverseInput, LossConfig, ModelConfig, V
 pub use replay::{ReplayConfig, SelectorKind, TableConfig};
 pub use training::{ActorConfig, BehaviorConfig, LearnerConfig, OptimizerConfig, Precision};
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Everything a run depends on. The resolved file lies in the run directory.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
     /// Root of the seed tree.

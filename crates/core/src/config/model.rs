@@ -1,9 +1,10 @@
 //! `[model]` and `[loss]`
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// What the inverse dynamics (Eq. 4) sees.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum InverseInput {
     /// The posterior samples `s_{t-1}`, `s_t`, as in the paper.
@@ -14,7 +15,7 @@ pub enum InverseInput {
 }
 
 /// How the min-max variance constraints (Eq. 8, 9) are measured.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum VarianceLoss {
     /// The authors' code: mean |cos| of the controllable `deter` under opposite actions; sum of squared
@@ -25,7 +26,7 @@ pub enum VarianceLoss {
 }
 
 /// Which branches a picture is made of. All but the first are for comparison.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Branches {
     /// Controllable, noncontrollable and static: Iso-Dream++ (Eq. 5).
@@ -38,7 +39,7 @@ pub enum Branches {
 }
 
 /// How the rollout of noncontrollable states enters the policy.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FutureStates {
     /// By attention (Eq. 13).
@@ -48,7 +49,7 @@ pub enum FutureStates {
 }
 
 /// Sizes and options of the networks.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ModelConfig {
     /// Channels of the first convolution; the others are multiples.
@@ -127,7 +128,7 @@ impl Default for ModelConfig {
 }
 
 /// Weights and options of the world-model losses (Eq. 6, 8-10).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LossConfig {
     /// Weight of the reward log loss: 2 in the authors' code, 1 in the paper.

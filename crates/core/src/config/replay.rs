@@ -2,13 +2,14 @@
 
 use std::collections::BTreeMap;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// The table that is always there.
 pub(super) const TRAIN_TABLE: &str = "train";
 
 /// The replay-server.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ReplayConfig {
     /// Steps kept; the oldest episodes go first. 0 keeps all.
@@ -40,7 +41,7 @@ impl Default for ReplayConfig {
 }
 
 /// How a table draws sequences. A sequence lies within one episode.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SelectorKind {
     /// Every sequence with the same probability.
@@ -56,7 +57,7 @@ pub enum SelectorKind {
 }
 
 /// One table.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TableConfig {
     /// How sequences are drawn.

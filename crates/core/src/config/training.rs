@@ -1,12 +1,13 @@
 //! `[behavior]`, `[optimizer]`, `[learner]` and `[actor]`
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Config;
 use super::replay::TRAIN_TABLE;
 
 /// Imagination, actor and critic (Eq. 13, 14).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BehaviorConfig {
     /// States per imagined trajectory, the start included (the paper's `L`).
@@ -47,7 +48,7 @@ impl Default for BehaviorConfig {
 }
 
 /// Adam and gradient clipping.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OptimizerConfig {
     /// Learning rate of the world model.
@@ -75,7 +76,7 @@ impl Default for OptimizerConfig {
 }
 
 /// In which numbers the learner multiplies. Weights, optimisers, recurrent states and losses are `f32` always.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Precision {
     /// `f32`.
@@ -87,7 +88,7 @@ pub enum Precision {
 }
 
 /// The training loop.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LearnerConfig {
     /// Sequences per batch (B).
@@ -106,6 +107,11 @@ pub struct LearnerConfig {
     pub publish_interval: u64,
     /// Updates between two checkpoints.
     pub checkpoint_interval: u64,
+    /// A run directory or checkpoint whose parameters a new run begins with, for transfer; empty: at random.
+    pub initial: String,
+    /// Which parameters are taken: those with one of these words in their name, `noncontrollable` for example takes the
+    /// whole branch (`world_model.rssm.noncontrollable.gru...`, its encoder and its decoder); empty: all.
+    pub initial_parts: Vec<String>,
     /// Seconds that a learner which is told to stop waits for the running update, so that it can be kept. Leave it
     /// below what the machine's supervisor waits before it kills (Docker 10 s unless told, Kubernetes 30 s).
     pub stop_secs: f64,
@@ -136,6 +142,8 @@ impl Default for LearnerConfig {
             replay_ratio: 0.2,
             publish_interval: 10,
             checkpoint_interval: 500,
+            initial: String::new(),
+            initial_parts: Vec::new(),
             stop_secs: 20.0,
             keep_checkpoints: 2,
             log_interval: 50,
@@ -149,7 +157,7 @@ impl Default for LearnerConfig {
 }
 
 /// The actors that `train` starts and how they act.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ActorConfig {
     /// Collecting actors.
