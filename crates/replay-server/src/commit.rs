@@ -146,10 +146,9 @@ impl Committer {
     }
 
     fn begin(&mut self, hello: &Hello) -> Result<Position, ReplayError> {
-        let epoch = match hello.epoch {
-            0 => self.writer.epoch_for(&hello.actor_id, hello.process),
-            epoch => epoch,
-        };
+        let epoch = self
+            .writer
+            .epoch_for(&hello.actor_id, hello.process, hello.epoch);
         let next_seq = self
             .writer
             .begin(&hello.actor_id, epoch, hello.acknowledged_seq)?;

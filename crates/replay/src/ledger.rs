@@ -81,16 +81,27 @@ impl Ledger {
         Outcome::Stored { next_seq }
     }
 
-    /// The epoch of a process that has none: `at_least`, or more where the actor had that already. A process that
-    /// asks again, because the answer was lost, gets the same.
-    pub(crate) fn epoch_for(&mut self, actor_id: &str, process: u64, at_least: u64) -> u64 {
+    /// The epoch of a process that has `claimed`, or 0 for none: then `at_least`, or more where the actor had that
+    /// already. A process whose epoch of this store was lost on its way gets the same again, also where another store
+    /// gave it an older one meanwhile.
+    pub(crate) fn epoch_for(
+        &mut self,
+        actor_id: &str,
+        process: u64,
+        claimed: u64,
+        at_least: u64,
+    ) -> u64 {
         let newest = self.positions.get(actor_id).map(|(epoch, _)| *epoch);
         if let Some((known, epoch)) = self.processes.get(actor_id)
             && *known == process
             && process != 0
             && Some(*epoch) == newest
+            && claimed <= *epoch
         {
             return *epoch;
+        }
+        if claimed != 0 {
+            return claimed;
         }
         let epoch = newest.map_or(at_least, |newest| at_least.max(newest.saturating_add(1)));
         self.processes.insert(actor_id.to_owned(), (process, epoch));

@@ -48,13 +48,15 @@ impl StoreWriter {
         Ok(offered.clone())
     }
 
-    /// The epoch of an actor's process that has none yet: greater than any that this store knows of the actor, and
-    /// by the machine's clock (microseconds since 1970), so that epochs of several stores tell the older process
-    /// too. The same `process` gets the same epoch until another one comes. [`StoreWriter::begin`] makes it durable.
-    pub fn epoch_for(&mut self, actor_id: &str, process: u64) -> u64 {
+    /// The epoch of an actor's process: `claimed`, what another store gave it, or where that is 0 a new one, greater
+    /// than any that this store knows of the actor, and by the machine's clock (microseconds since 1970), so that
+    /// epochs of several stores tell the older process too. The same `process` gets the same epoch until another one
+    /// comes. [`StoreWriter::begin`] makes it durable.
+    pub fn epoch_for(&mut self, actor_id: &str, process: u64, claimed: u64) -> u64 {
         let now = SystemTime::now().duration_since(UNIX_EPOCH);
         let micros = now.map_or(0, |now| now.as_micros() as u64);
-        self.ledger.epoch_for(actor_id, process, micros.max(1))
+        self.ledger
+            .epoch_for(actor_id, process, claimed, micros.max(1))
     }
 
     /// An actor connects: fences off its older epochs, durably. Returns the sequence number it has to send

@@ -130,10 +130,13 @@ impl AppendLink {
             )));
         }
         let acknowledged_seq = self.spool.first_seq(&store_id);
+        // A store that knows this process by its own epoch, else what the first one gave it.
+        let known = self.spool.epoch(&store_id);
+        let epoch = known.or(self.sender.epoch.get().copied()).unwrap_or(0);
         let hello = Hello {
             handshake: Some(self.sender.identity.handshake()),
             actor_id: self.sender.actor_id.clone(),
-            epoch: self.sender.epoch.get().copied().unwrap_or(0),
+            epoch,
             acknowledged_seq,
             store_id: store_id.clone(),
             process: self.sender.process,
@@ -172,9 +175,9 @@ impl AppendLink {
             first,
         } = opened;
         self.state.connected();
-        let epoch = *self.sender.epoch.get_or_init(|| first.epoch);
+        let _ = self.sender.epoch.set(first.epoch);
+        self.spool.begin(&store_id, first.epoch);
         let is_current = matches!(self.purpose, Purpose::Current(_));
-        let take = is_current.then_some(epoch);
         if is_current {
             let given_up = self.spool.turn_to(&store_id);
             if given_up > 0 {
@@ -197,7 +200,7 @@ impl AppendLink {
                     Some(reply) => self.answered(&store_id, &reply, acknowledged_seq, progressed)?,
                     None => return Ok(None),
                 },
-                next = self.next_chunk(&outbound, &mut changes, &store_id, next_seq, take) => match next {
+                next = self.next_chunk(&outbound, &mut changes, &store_id, next_seq) => match next {
                     Some((room, chunk)) => {
                         room.send(request(Kind::Chunk(chunk.into())));
                         next_seq += 1;
@@ -217,8 +220,8 @@ impl AppendLink {
         changes: &mut watch::Receiver<()>,
         store_id: &str,
         seq: u64,
-        take: Option<u64>,
     ) -> Option<(mpsc::Permit<'a, AppendRequest>, Chunk)> {
+        let take = matches!(self.purpose, Purpose::Current(_));
         let room = outbound.reserve().await.ok()?;
         loop {
             changes.borrow_and_update();

@@ -51,6 +51,8 @@ struct Inner {
 struct Outbox {
     chunks: VecDeque<Chunk>,
     next_seq: u64,
+    /// By which the store knows the sender; 0 before it answers.
+    epoch: u64,
 }
 
 impl Outbox {
@@ -117,18 +119,31 @@ impl Spool {
         given_up
     }
 
-    /// Chunk `seq` of `store`, if it is not acknowledged. With `take`, the epoch of its sender, the next one that was
-    /// not sent anywhere becomes the store's where it is the one asked for.
-    pub(crate) fn get(&self, store: &str, seq: u64, take: Option<u64>) -> Option<Chunk> {
+    /// `store` answered, and knows the sender by `epoch`.
+    pub(crate) fn begin(&self, store: &str, epoch: u64) {
+        let mut inner = self.lock();
+        inner.outboxes.entry(store.to_owned()).or_default().epoch = epoch;
+    }
+
+    /// The epoch by which `store` knows the sender, if it ever answered.
+    pub(crate) fn epoch(&self, store: &str) -> Option<u64> {
+        let inner = self.lock();
+        let outbox = inner.outboxes.get(store)?;
+        (outbox.epoch != 0).then_some(outbox.epoch)
+    }
+
+    /// Chunk `seq` of `store`, if it is not acknowledged. With `take`, the next one that was not sent anywhere
+    /// becomes the store's where it is the one asked for.
+    pub(crate) fn get(&self, store: &str, seq: u64, take: bool) -> Option<Chunk> {
         let mut guard = self.lock();
         let inner = &mut *guard;
         let outbox = inner.outboxes.entry(store.to_owned()).or_default();
         let index = seq.checked_sub(outbox.first_seq())?;
-        if let Some(epoch) = take
+        if take
             && seq == outbox.next_seq
             && let Some(mut chunk) = inner.unsent.pop_front()
         {
-            (chunk.epoch, chunk.seq) = (epoch, seq);
+            (chunk.epoch, chunk.seq) = (outbox.epoch, seq);
             outbox.next_seq += 1;
             outbox.chunks.push_back(chunk);
         }

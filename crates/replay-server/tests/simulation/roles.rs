@@ -8,7 +8,9 @@ use isodream_core::{EnvSpec, ImageShape};
 use isodream_proto::Identity;
 use isodream_replay::{Capacity, LimiterOptions, Selector, StoreOptions, Table};
 use isodream_replay_server::{ServedTable, ServerOptions, serve_connections};
-use isodream_rpc::{AppendClient, AppendOptions, Dialer, Door, SampleClient, SampleOptions};
+use isodream_rpc::{
+    AppendClient, AppendOptions, Dialer, Door, RpcError, SampleClient, SampleOptions,
+};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio_util::sync::CancellationToken;
@@ -96,7 +98,8 @@ fn append_client(actor: usize) -> AppendClient {
 }
 
 /// Sends until it is told to stop, then until everything is durable. Now and then its successor starts while
-/// it still sends.
+/// it still sends. It is started anew where it is refused, as by a supervisor: a process that reached no store before
+/// its successor did may be taken for the newer one.
 pub(crate) async fn actor(
     number: usize,
     seed: u64,
@@ -114,8 +117,15 @@ pub(crate) async fn actor(
         let client = append_client(number);
         let count = rng.random_range(20..100_u32);
         let mut sent = 0;
+        let mut refused = false;
         while sent < count && !stop.is_cancelled() {
-            client.send(record::chunk((number, start, sent))).await?;
+            match client.send(record::chunk((number, start, sent))).await {
+                Err(RpcError::Refused { .. }) => {
+                    refused = true;
+                    break;
+                }
+                handed_over => handed_over?,
+            }
             sent += 1;
             if rng.random_bool(0.1) && client.flush(Duration::from_secs(10)).await.is_ok() {
                 acknowledged(&shared, number, start, sent);
@@ -123,11 +133,22 @@ pub(crate) async fn actor(
             let pause = rng.random_range(0..60);
             tokio::time::sleep(Duration::from_millis(pause)).await;
         }
-        if stop.is_cancelled() {
-            client.flush(Duration::from_secs(600)).await?;
-            acknowledged(&shared, number, start, sent);
-            shared.lock().expect("no panic").actors_done += 1;
-            return Ok(());
+        if stop.is_cancelled() && !refused {
+            match client.flush(Duration::from_secs(600)).await {
+                Err(RpcError::Refused { .. }) => refused = true,
+                flushed => {
+                    flushed?;
+                    acknowledged(&shared, number, start, sent);
+                    shared.lock().expect("no panic").actors_done += 1;
+                    return Ok(());
+                }
+            }
+        }
+        if refused {
+            let mut record = shared.lock().expect("no panic");
+            record.actors_lost += 1;
+            record.actors_refused += 1;
+            continue;
         }
         shared.lock().expect("no panic").actors_lost += 1;
         tokio::spawn(async move {
