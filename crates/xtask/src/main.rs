@@ -12,6 +12,7 @@ mod peer;
 mod run;
 mod setup;
 mod stage;
+mod venv;
 
 use std::process::ExitCode;
 
