@@ -6,6 +6,7 @@ use anyhow::Result;
 
 use crate::deploy::kubernetes;
 use crate::deps;
+use crate::python;
 use crate::stage::{answers, cargo, run, stage};
 
 /// Runs every check in the order of how fast it fails.
@@ -14,6 +15,7 @@ pub(crate) fn ci(root: &Path) -> Result<()> {
         run(&mut cargo(root, ["fmt", "--all", "--check"]))
     })?;
     stage("dependency rules", || deps::check(root))?;
+    python::check(root)?;
     // The commands in the manifests are checked by the tests, which have the binary.
     stage("Kubernetes manifests", || kubernetes::check(root, None))?;
     // Compiling cargo-deny takes longer than everything here together; our own rules run in any case.

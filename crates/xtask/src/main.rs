@@ -9,9 +9,11 @@ mod deps;
 mod docker;
 mod image;
 mod peer;
+mod python;
 mod run;
 mod setup;
 mod stage;
+mod venv;
 
 use std::process::ExitCode;
 
@@ -34,7 +36,7 @@ enum Command {
         #[arg(long)]
         verify: bool,
     },
-    /// Formatting, lints, docs and dependency rules.
+    /// Formatting, lints, docs and dependency rules, in Rust and Python.
     Ci,
     /// All tests; with arguments only the tests they select.
     Test {

