@@ -45,7 +45,7 @@ fn an_experiment_is_run_once_and_reported_beside_the_paper() -> Result<()> {
         markdown.contains("| Iso-Dream++ | 1 | ") && markdown.contains(" | about 60 |"),
         "{markdown}"
     );
-    ensure!(markdown.contains("2 of 2 runs, each of 1"), "{markdown}");
+    ensure!(markdown.contains("2 of 2 runs, each of "), "{markdown}");
     let html = std::fs::read_to_string(made.join("report.html"))?;
     ensure!(
         html.contains("<td>single branch (the paper: DreamerV2)</td>"),
