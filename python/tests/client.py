@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import time
 from typing import Self
 
 import grpc
@@ -47,6 +48,18 @@ class Client:
         """The results of a batch."""
         self.batch(1, *commands)
         return list(self.receive().results.results)
+
+
+def patiently(address: str, environments: int) -> Client:
+    """A client once so many environments are free, which those of one that left are a moment later."""
+    deadline = time.monotonic() + DEADLINE_SECS
+    while True:
+        try:
+            return Client(address, environments)
+        except grpc.RpcError as error:
+            if " are free" not in words(error) or time.monotonic() > deadline:
+                raise
+            time.sleep(0.05)
 
 
 def reset(environment: int = 0, seed: int = 1) -> pb.EnvironmentCommand:

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from client import Client, last_words, refusal, reset, step
+from client import Client, last_words, patiently, refusal, reset, step
 from conftest import Isodream
 from numpy.typing import NDArray
 from worlds import World
 
-from isodream import Row, Secrets, SecurityError, Server, Spec
+from isodream import EnvError, Row, Secrets, SecurityError, Server, Spec
 from isodream.service import PROTOCOL_VERSION
 from isodream.v1 import environment_pb2 as pb
 
@@ -36,15 +36,8 @@ def test_an_environment_belongs_to_one_client() -> None:
                 assert rows[0] == rows[1]
             words = refusal(server.address, 2)
             assert words.startswith("UNAVAILABLE: 2 environments were asked for and 1 of 3 are free"), words
-        deadline = time.monotonic() + 5
-        while time.monotonic() < deadline:
-            try:
-                with Client(server.address, 3) as third:
-                    assert third.welcome.environments == 3
-                    return
-            except Exception:  # noqa: BLE001
-                time.sleep(0.05)
-        raise AssertionError("environments of a client that left are not free")
+        with patiently(server.address, 3) as third:
+            assert third.welcome.environments == 3
 
 
 def test_rows_tell_rewards_ends_and_metrics() -> None:
@@ -115,10 +108,9 @@ def test_what_makes_no_sense_is_refused() -> None:
             ([pb.EnvironmentCommand()], "environment 0 got an empty command"),
             ([reset(), reset()], "environment 0 is busy"),
         ]:
-            with Client(server.address, 1) as client:
+            with patiently(server.address, 1) as client:
                 client.batch(1, *commands)
                 assert expected in last_words(client)
-            time.sleep(0.2)
 
 
 class Odd(World):
@@ -205,6 +197,8 @@ def test_what_cannot_be_served_is_said() -> None:
     dims = iter((1, 2))
     with pytest.raises(ValueError, match=r"environment 1 is .*action_dim=2.*all must be alike"):
         Server(lambda: World(action_dim=next(dims)), environments=2)
+    with pytest.raises(EnvError, match=r"make_env cannot be sent to another process.*a function of a module"):
+        Server(lambda: World(), processes=True)
 
 
 def test_an_unguarded_server_opens_on_loopback_only(tmp_path: Path) -> None:
@@ -287,13 +281,42 @@ def test_specs_are_the_environments_own() -> None:
         Spec("test/world", 5, 9, action_repeat=0)
 
 
-def test_processes_end_with_a_server_that_is_killed(tmp_path: Path) -> None:
-    path = tmp_path / "serve.py"
+def program(folder: Path, world: str, *, processes: bool) -> subprocess.Popen[str]:
+    """One that serves a world of the tests."""
+    path = folder / "serve.py"
     path.write_text(
-        "import isodream, worlds\nif __name__ == '__main__':\n    isodream.serve(worlds.World, processes=True)"
+        "import isodream, worlds\n"
+        f"if __name__ == '__main__':\n    isodream.serve(worlds.{world}, processes={processes})"
     )
-    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
-    with subprocess.Popen([sys.executable, path], stdout=subprocess.PIPE, text=True, env=env) as server:
+    paths = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    return subprocess.Popen(
+        [sys.executable, path],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": paths},
+    )
+
+
+@pytest.mark.parametrize("processes", [False, True])
+def test_a_server_ends_without_an_environment_that_hangs(tmp_path: Path, processes: bool) -> None:
+    with program(tmp_path, "Hanging", processes=processes) as server:
+        assert server.stdout
+        with Client(server.stdout.readline().split("grpc://")[1].strip()) as client:
+            client.obey(reset())
+            client.batch(2, step())
+            assert server.stdout.readline() == "hangs\n"
+        server.terminate()
+        try:
+            _, said = server.communicate(timeout=20)
+        finally:
+            server.kill()
+    assert server.returncode == 1
+    assert "does not end its command" in said
+
+
+def test_processes_end_with_a_server_that_is_killed(tmp_path: Path) -> None:
+    with program(tmp_path, "World", processes=True) as server:
         assert server.stdout
         assert server.stdout.readline().startswith("test/world at grpc://127.0.0.1:")
         # The environment and Python's own watcher of resources.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,3 +35,12 @@ class World:
     def _picture(self) -> NDArray[np.uint8]:
         self.images.append(self.rng.integers(0, 256, (64, 64, 3), np.uint8))
         return self.images[-1]
+
+
+class Hanging(World):
+    """Never comes back from a step."""
+
+    def step(self, action: NDArray[np.float32]) -> Row:
+        print("hangs", flush=True)
+        threading.Event().wait()
+        return super().step(action)

@@ -1,9 +1,12 @@
 """Serves environments to Isodream's actors (`proto/isodream/v1/environment.proto`)."""
 
 import asyncio
+import logging
+import os
 import signal
 import threading
 from collections.abc import Coroutine
+from concurrent.futures import wait
 from pathlib import Path
 from typing import Any, Self, TypedDict, Unpack
 
@@ -16,7 +19,7 @@ from isodream.service import SERVICE, EnvironmentService
 from isodream.workers import MakeEnv, Worker
 
 MAX_MESSAGE_BYTES = 64 << 20
-# How long streams may take to end when the server stops.
+# How long streams, and then environments, may take to end when the server stops.
 GRACE_SECS = 3.0
 OPTIONS = [
     ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
@@ -28,6 +31,8 @@ OPTIONS = [
     # Clients ping every ten seconds also while they wait, which gRPC takes for an attack.
     ("grpc.http2.max_ping_strikes", 0),
 ]
+
+_log = logging.getLogger("isodream")
 
 
 class Server:
@@ -71,6 +76,8 @@ class Server:
         if not isinstance(secrets, Secrets):
             secrets = Secrets() if secrets is None else Secrets.of(secrets)
         secrets.check(address, insecure=insecure)
+        self.hangs = False
+        """Whether an environment was still busy with a command when the server had stopped."""
         self._workers = [Worker(make_env, process=processes) for _ in range(environments)]
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name="isodream", daemon=True)
@@ -85,7 +92,7 @@ class Server:
             raise
 
     def stop(self) -> None:
-        """Ends all streams within three seconds and closes the environments."""
+        """Ends all streams, then closes the environments, in three seconds each at most."""
         self._run(self._server.stop(GRACE_SECS))
         self._end()
 
@@ -118,8 +125,7 @@ class Server:
         return asyncio.run_coroutine_threadsafe(work, self._loop).result()
 
     def _end(self) -> None:
-        for worker in self._workers:
-            worker.stop()
+        self.hangs = bool(wait([worker.stop() for worker in self._workers], GRACE_SECS).not_done)
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
         self._loop.close()
@@ -138,7 +144,8 @@ class Options(TypedDict, total=False):
 def serve(make_env: MakeEnv, **options: Unpack[Options]) -> None:
     """Serves environments until the process is interrupted or told to end (SIGINT, SIGTERM).
 
-    Takes what `Server` takes, and raises the same. Prints the address once environments can be driven.
+    Takes what `Server` takes, and raises the same. Prints the address once environments can be driven. Leaves an
+    environment that hangs behind, and ends the process with status 1 then.
     """
     ended = threading.Event()
     signals = (signal.SIGINT, signal.SIGTERM)
@@ -147,6 +154,10 @@ def serve(make_env: MakeEnv, **options: Unpack[Options]) -> None:
         with Server(make_env, **options) as server:
             print(f"{server.spec.id} at grpc://{server.address}", flush=True)
             ended.wait()
+        if server.hangs:
+            _log.error("an environment does not end its command; this process ends without it")
+            # Python itself would wait for it.
+            os._exit(1)
     finally:
         for number, handler in zip(signals, handlers, strict=True):
             signal.signal(number, handler)

@@ -1,6 +1,7 @@
 """Environments in threads or processes of their own: simulators want all calls from where they were made."""
 
 import os
+import pickle
 import signal
 import threading
 from collections.abc import Callable
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isodream.adapters import adapt
-from isodream.environment import Guarded, Row, Spec
+from isodream.environment import EnvError, Guarded, Row, Spec
 
 T = TypeVar("T")
 MakeEnv = Callable[[], Any]
@@ -25,6 +26,8 @@ class Worker:
     """One environment, made where it runs and made anew after a reset that failed or a process that died."""
 
     def __init__(self, make_env: MakeEnv, *, process: bool) -> None:
+        if process:
+            _check_that_it_travels(make_env)
         self._make_env, self._process = make_env, process
         self._executor = self._start()
 
@@ -40,10 +43,11 @@ class Worker:
         """Takes one agent step."""
         return self._submit(_step, action)
 
-    def stop(self) -> None:
-        """Has the environment closed once its command is done, and waits for neither."""
-        self._submit(_close)
+    def stop(self) -> "Future[None]":
+        """Has the environment closed once its command is done."""
+        closed = self._submit(_close)
         self._executor.shutdown(wait=False)
+        return closed
 
     def _start(self) -> Executor:
         # Forks of a process with gRPC's threads would hang.
@@ -57,6 +61,16 @@ class Worker:
         except BrokenExecutor:
             self._executor = self._start()
             return self._executor.submit(work, self._make_env, *args)
+
+
+def _check_that_it_travels(make_env: MakeEnv) -> None:
+    try:
+        pickle.dumps(make_env)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise EnvError(
+            f"make_env cannot be sent to another process: {error}; make it a function of a module, "
+            "or leave processes=True out"
+        ) from error
 
 
 def _outlive_nobody() -> None:

@@ -1,5 +1,6 @@
 """What all adapters share: action repeat, time limit and pictures of the size that is asked for."""
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -118,6 +119,11 @@ class Adapter(ABC):
     @abstractmethod
     def close(self) -> None:
         """Gives back what the environment holds."""
+
+
+def agent_steps(frames: int, action_repeat: int) -> int:
+    """Agent steps in `frames`, the last of them perhaps a part of one. `Spec` refuses an `action_repeat` of 0."""
+    return math.ceil(frames / max(action_repeat, 1))
 
 
 def is_picture(dtype: Any, shape: tuple[int, ...]) -> bool:

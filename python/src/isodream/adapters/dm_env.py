@@ -1,13 +1,12 @@
 """dm_env environments, dm_control among them."""
 
 import logging
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isodream.adapters.adapter import Actions, Adapter, Frame, is_picture
+from isodream.adapters.adapter import Actions, Adapter, Frame, agent_steps, is_picture
 from isodream.environment import EnvError, Environment, Spec
 
 if TYPE_CHECKING:
@@ -55,7 +54,7 @@ def from_dm_env(
     if pixels is None and not hasattr(env, "physics"):
         raise EnvError(f"{name} has neither pictures among its observations nor physics that can be rendered")
     actions = _actions(name, env.action_spec())
-    limit = time_limit or math.ceil(CONTROL_STEPS / action_repeat)
+    limit = agent_steps(CONTROL_STEPS, action_repeat) if time_limit is None else time_limit
     spec = Spec(name, actions.dim, limit, *size, action_repeat=action_repeat)
     return _DmEnv(spec, actions, env, pixels, camera)
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isodream.adapters.adapter import Actions, Adapter, Frame, is_picture
+from isodream.adapters.adapter import Actions, Adapter, Frame, agent_steps, is_picture
 from isodream.environment import EnvError, Environment, Spec
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def from_gymnasium(
     if time_limit is None:
         if env.spec is None or env.spec.max_episode_steps is None:
             raise EnvError(f"{name} does not say when its episodes end; give time_limit=N, in agent steps")
-        time_limit = math.ceil(env.spec.max_episode_steps / action_repeat)
+        time_limit = agent_steps(env.spec.max_episode_steps, action_repeat)
     spec = Spec(name, actions.dim, time_limit, *size, action_repeat=action_repeat)
     return _Gymnasium(spec, actions, env, pixels)
 
