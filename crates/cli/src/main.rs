@@ -4,6 +4,7 @@
 //! start one role, anywhere. `eval`, `imagine`, `report` and `dashboard` look at what a run has learned.
 
 mod bench;
+mod chart;
 mod config_args;
 mod config_reference;
 mod dashboard;

@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, anyhow, ensure};
+use anyhow::{Context, ensure};
 use clap::Args;
-use plotters::prelude::*;
+
+use crate::chart::{Line, draw};
 
 /// Options of `isodream report`.
 #[derive(Debug, Args)]
@@ -25,16 +26,6 @@ pub(crate) struct ReportArgs {
     #[arg(long, value_name = "NAME=VALUE")]
     level: Vec<String>,
 }
-
-/// Curves, in their order.
-const COLORS: [RGBColor; 6] = [
-    RGBColor(31, 119, 180),
-    RGBColor(214, 99, 0),
-    RGBColor(34, 139, 60),
-    RGBColor(180, 40, 60),
-    RGBColor(120, 80, 170),
-    RGBColor(90, 90, 90),
-];
 
 /// One run's values over environment frames; values at the same frames are averaged.
 pub(crate) struct Curve {
@@ -58,8 +49,15 @@ pub(crate) fn run(args: &ReportArgs) -> anyhow::Result<()> {
         1 => args.metric.clone(),
         window => format!("{}, mean of {window}", args.metric),
     };
-    draw(&args.out, &label, &curves, &levels)
-        .with_context(|| format!("cannot draw {}", args.out.display()))
+    let lines: Vec<Line> = curves
+        .into_iter()
+        .map(|curve| Line {
+            name: curve.name,
+            points: curve.points,
+            band: Vec::new(),
+        })
+        .collect();
+    draw(&args.out, &label, &lines, &levels)
 }
 
 fn level(text: &str) -> anyhow::Result<(String, f64)> {
@@ -126,66 +124,6 @@ impl Curve {
             name: self.name,
         }
     }
-}
-
-fn draw(out: &Path, label: &str, curves: &[Curve], levels: &[(String, f64)]) -> anyhow::Result<()> {
-    let all = || curves.iter().flat_map(|curve| &curve.points);
-    let most = all().map(|p| p.0).fold(1.0, f64::max);
-    let values = || {
-        all()
-            .map(|p| p.1)
-            .chain(levels.iter().map(|(_, value)| *value))
-    };
-    let (low, high) = (
-        values().fold(f64::MAX, f64::min),
-        values().fold(f64::MIN, f64::max),
-    );
-    let margin = 0.05 * (high - low).max(1.0);
-
-    let root = SVGBackend::new(out, (900, 540)).into_drawing_area();
-    let failed = |error: &dyn std::fmt::Display| anyhow!("{error}");
-    root.fill(&WHITE).map_err(|e| failed(&e))?;
-    let mut chart = ChartBuilder::on(&root)
-        .margin(16)
-        .x_label_area_size(40)
-        .y_label_area_size(60)
-        .build_cartesian_2d(0.0..most, low - margin..high + margin)
-        .map_err(|e| failed(&e))?;
-    chart
-        .configure_mesh()
-        .light_line_style(WHITE)
-        .x_desc("environment frames")
-        .y_desc(label)
-        .draw()
-        .map_err(|e| failed(&e))?;
-    for (index, curve) in curves.iter().enumerate() {
-        let color = COLORS[index % COLORS.len()].to_rgba();
-        chart
-            .draw_series(LineSeries::new(
-                curve.points.iter().copied(),
-                color.stroke_width(2),
-            ))
-            .map_err(|e| failed(&e))?
-            .label(&curve.name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], color.stroke_width(2)));
-    }
-    for (index, (name, value)) in levels.iter().enumerate() {
-        let color = BLACK.mix(0.8 / (index + 1) as f64);
-        chart
-            .draw_series(LineSeries::new([(0.0, *value), (most, *value)], color))
-            .map_err(|e| failed(&e))?
-            .label(format!("{name} {value:.0}"))
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], color));
-    }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::LowerRight)
-        .background_style(WHITE.mix(0.8))
-        .border_style(BLACK)
-        .draw()
-        .map_err(|e| failed(&e))?;
-    root.present().map_err(|e| failed(&e))?;
-    Ok(())
 }
 
 #[cfg(test)]

@@ -8,11 +8,12 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use serde::Deserialize;
 
-use self::figure::{Band, band, draw};
+use self::figure::summary;
 use self::page::{Page, Section, Table};
 use super::Choice;
 use super::definition::{Definition, Method, Variant};
 use super::plan::{Plan, Run};
+use crate::chart::{Line, draw};
 use crate::report::Curve;
 
 /// What `isodream eval` prints, as far as it is told here.
@@ -109,7 +110,7 @@ fn section(
             .filter(|run| run.evaluation().exists())
             .collect()
     };
-    let mut bands: Vec<Band> = Vec::new();
+    let mut lines: Vec<Line> = Vec::new();
     let mut columns = vec![
         "method".to_owned(),
         "seeds".to_owned(),
@@ -126,7 +127,7 @@ fn section(
             .iter()
             .filter_map(|run| Curve::read(&run.dir, &definition.metric).ok())
             .map(|curve| curve.smoothed(smooth).points);
-        bands.extend(band(&method.label, &curves.collect::<Vec<_>>()));
+        lines.extend(summary(&method.label, &curves.collect::<Vec<_>>()));
         let key = if task.name.is_empty() {
             "return"
         } else {
@@ -153,7 +154,7 @@ fn section(
         "" => "curves.svg".to_owned(),
         name => format!("curves-{name}.svg"),
     };
-    draw(&folder.join(&figure), &definition.metric, &bands)?;
+    draw(&folder.join(&figure), &definition.metric, &lines, &[])?;
     Ok(Section {
         title: task.label.clone(),
         figure,
