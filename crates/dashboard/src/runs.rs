@@ -1,7 +1,7 @@
 //! The runs below a folder.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -90,11 +90,16 @@ impl Runs {
         Ok(runs)
     }
 
-    /// The folder of the run `id`; none where there is no such run, whatever `id` says.
+    /// The folder of the run `id`; none where there is no such run below the root, whatever `id` says.
     pub(crate) fn folder(&self, id: &str) -> Option<PathBuf> {
-        let mut folders = Vec::new();
-        find(&self.root, DEPTH, &mut folders);
-        folders.into_iter().find(|folder| self.id(folder) == id)
+        let folder = match id {
+            "." => self.root.clone(),
+            _ => self.root.join(id),
+        };
+        let below = Path::new(id).components();
+        let mut names = below.filter(|part| *part != Component::CurDir);
+        let stays_below = names.all(|part| matches!(part, Component::Normal(_)));
+        (stays_below && is_run(&folder) && self.id(&folder) == id).then_some(folder)
     }
 
     pub(crate) fn series(&self, folder: &Path, metric: &str) -> std::io::Result<Series> {
@@ -140,9 +145,13 @@ impl Runs {
     }
 }
 
+fn is_run(folder: &Path) -> bool {
+    folder.join("config.toml").is_file()
+}
+
 /// Adds `folder`, if it is a run, or else the runs below it.
 fn find(folder: &Path, depth: usize, found: &mut Vec<PathBuf>) {
-    if folder.join("config.toml").is_file() {
+    if is_run(folder) {
         found.push(folder.to_owned());
         return;
     }

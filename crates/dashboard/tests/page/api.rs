@@ -107,6 +107,8 @@ fn nothing_else_of_the_disk_is_served() {
         "run=..&name=episode-0000000300.mp4",
         "run=../a&name=episode-0000000300.mp4",
         "run=%2Fetc&name=episode-0000000300.json",
+        "run=./../a&name=episode-0000000300.mp4",
+        "run=&name=episode-0000000300.mp4",
         "run=.&name=episode-0000000300.mp4%00.json",
     ] {
         assert_eq!(server.get(&format!("/api/file?{query}")).0, 404, "{query}");
