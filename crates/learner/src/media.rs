@@ -11,7 +11,7 @@ use isodream_model::world_model::WorldModel;
 use isodream_proto::v1;
 use isodream_telemetry::media::{EpisodeFacts, MediaFolder, OpenLoopFacts};
 use isodream_telemetry::{Gif, Rgb, encode_gif};
-use tch::{Device, Kind, Tensor};
+use tch::{Kind, Tensor};
 
 use crate::panel::Panel;
 
@@ -131,10 +131,11 @@ impl Media {
 /// Mean squared error of each frame over all sequences; `predicted: [B T, C, H, W]`, `truth: [B, T, C, H, W]`.
 fn error(predicted: &Tensor, truth: &Tensor) -> Vec<f64> {
     let squared = (predicted.view_as(truth) - truth).square();
-    let per_frame = squared
-        .mean_dim([0_i64, 2, 3, 4].as_slice(), false, Kind::Double)
-        .to_device(Device::Cpu);
-    Vec::<f64>::try_from(&per_frame).unwrap_or_default()
+    let per_frame = squared.mean_dim([0_i64, 2, 3, 4].as_slice(), false, Kind::Double);
+    let mut values = vec![0.0_f64; per_frame.numel()];
+    let count = values.len();
+    per_frame.copy_data(&mut values, count);
+    values
 }
 
 /// Checks what an actor sent.

@@ -3,7 +3,7 @@
 use isodream_model::Batch;
 use isodream_model::open_loop::OpenLoop;
 use isodream_telemetry::Rgb;
-use tch::{Kind, Tensor};
+use tch::{Device, Kind, Tensor};
 
 /// Columns of the still picture, as far as the sequence reaches.
 const SHOWN: [usize; 9] = [0, 4, 5, 9, 14, 19, 29, 39, 49];
@@ -108,7 +108,8 @@ fn pictures(x: &Tensor) -> Vec<Rgb> {
         .clamp(0.0, 255.0)
         .to_kind(Kind::Uint8)
         .permute([0, 2, 3, 1])
-        .contiguous();
+        .contiguous()
+        .to_device(Device::Cpu);
     bytes
         .unbind(0)
         .iter()
@@ -125,6 +126,7 @@ fn pictures(x: &Tensor) -> Vec<Rgb> {
 fn masks(x: &Tensor) -> Vec<Rgb> {
     let (height, width) = (x.size()[2] as usize, x.size()[3] as usize);
     x.contiguous()
+        .to_device(Device::Cpu)
         .unbind(0)
         .iter()
         .map(|mask| {
