@@ -140,3 +140,35 @@ fn a_run_directory_of_another_environment_is_refused() -> Result<()> {
         &["--run-dir", &run_dir],
     )
 }
+
+#[test]
+fn the_doctor_names_what_a_run_would_miss_and_the_cure() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let here = folder.path().display().to_string();
+    let output = isodream(&["doctor", "--dir", &here])?;
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    ensure!(output.status.success(), "{said}");
+    for thing in [
+        "processor",
+        "memory",
+        "disk",
+        "libtorch",
+        "highway",
+        "MuJoCo",
+    ] {
+        ensure!(said.contains(&format!("  {thing}")), "no {thing}: {said}");
+    }
+    ensure!(!said.contains("BAD"), "{said}");
+    ensure!(
+        std::fs::read_dir(folder.path())?.count() == 0,
+        "the doctor left something behind"
+    );
+
+    let nowhere = folder.path().join("nowhere").display().to_string();
+    let output = isodream(&["doctor", "--dir", &nowhere])?;
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    ensure!(!output.status.success(), "{said}");
+    ensure!(said.contains("BAD   disk"), "{said}");
+    ensure!(said.contains("give a folder that exists: --dir"), "{said}");
+    Ok(())
+}
