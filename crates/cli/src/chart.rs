@@ -82,6 +82,15 @@ pub(crate) fn draw(
             .label(&line.name)
             .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], color.stroke_width(2)));
     }
+    for (index, line) in lines.iter().enumerate() {
+        let color = COLORS[index % COLORS.len()];
+        // A short run has one value, which is no line.
+        let end = line
+            .points
+            .last()
+            .map(|&end| Circle::new(end, 3, color.filled()));
+        chart.draw_series(end).map_err(|e| failed(&e))?;
+    }
     for (index, (name, value)) in levels.iter().enumerate() {
         let color = BLACK.mix(0.8 / (index + 1) as f64);
         chart
@@ -99,4 +108,31 @@ pub(crate) fn draw(
         .map_err(|e| failed(&e))?;
     root.present().map_err(|e| failed(&e))?;
     Ok(())
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_single_value_is_seen_as_well() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("a.svg");
+        let line = |name: &str, points: &[(f64, f64)]| Line {
+            name: name.to_owned(),
+            points: points.to_vec(),
+            band: Vec::new(),
+        };
+        let lines = [
+            line("one", &[(50.0, 2.0)]),
+            line("two", &[(0.0, 1.0), (100.0, 3.0)]),
+        ];
+        draw(&out, "score", &lines, &[("level".into(), 2.5)]).unwrap();
+        let svg = std::fs::read_to_string(&out).unwrap();
+        assert_eq!(svg.matches("<circle").count(), 2, "{svg}");
+        for word in ["one", "two", "level 2", "environment frames", "score"] {
+            assert!(svg.contains(word), "no {word}: {svg}");
+        }
+    }
 }
