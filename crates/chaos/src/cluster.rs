@@ -112,14 +112,19 @@ impl Cluster {
         deadline: Duration,
     ) -> Result<String> {
         interrupt::until(&format!("{who} says `{words}`"), deadline, || {
-            for role in self.roles().filter(|role| role.name().starts_with(who)) {
-                let log = role.log_since(mark.0.get(role.name()).copied().unwrap_or(0))?;
-                if let Some(line) = log.lines().find(|line| line.contains(words)) {
-                    return Ok(Some(format!("{} says: {line}", role.name())));
-                }
-            }
-            Ok(None)
+            self.said(mark, who, words)
         })
+    }
+
+    /// The line in which a role whose name begins with `who` has said `words` since `mark`.
+    pub(crate) fn said(&self, mark: &Mark, who: &str, words: &str) -> Result<Option<String>> {
+        for role in self.roles().filter(|role| role.name().starts_with(who)) {
+            let log = role.log_since(mark.0.get(role.name()).copied().unwrap_or(0))?;
+            if let Some(line) = log.lines().find(|line| line.contains(words)) {
+                return Ok(Some(format!("{} says: {line}", role.name())));
+            }
+        }
+        Ok(None)
     }
 
     /// Stops everything and compares stores and ledgers; `check` sees every chunk. Adds what is wrong to `failures`.

@@ -130,28 +130,31 @@ impl Watch {
         deadline: Duration,
     ) -> Result<f64> {
         let what = format!("updates and inserts ({inserts:?}) move again");
-        let at = interrupt::until(&what, deadline, || {
-            let looks: Vec<Look> = self.since(since);
-            let updates = first_move(&looks, |look| look.updates);
-            let store = |index: usize| {
-                first_move(&looks, move |look| {
-                    Some(look.replays.get(index)?.as_ref()?.inserted_steps)
-                })
-            };
-            let moved = match inserts {
-                Inserts::Into(index) => store(index),
-                Inserts::Any => (0..looks.first().map_or(0, |look| look.replays.len()))
-                    .filter_map(store)
-                    .min(),
-            };
-            Ok(updates.zip(moved).map(|(a, b)| a.max(b)))
-        })
-        .with_context(|| self.last_words())?;
+        let at = interrupt::until(&what, deadline, || Ok(self.moves(since, inserts)))
+            .with_context(|| self.last_words())?;
         Ok(at.duration_since(since).as_secs_f64())
     }
 
+    /// When updates and inserts had both been seen to move since `since`, if they have.
+    pub(crate) fn moves(&self, since: Instant, inserts: Inserts) -> Option<Instant> {
+        let looks = self.since(since);
+        let updates = first_move(&looks, |look| look.updates)?;
+        let store = |index: usize| {
+            first_move(&looks, move |look| {
+                Some(look.replays.get(index)?.as_ref()?.inserted_steps)
+            })
+        };
+        let moved = match inserts {
+            Inserts::Into(index) => store(index),
+            Inserts::Any => (0..looks.first().map_or(0, |look| look.replays.len()))
+                .filter_map(store)
+                .min(),
+        };
+        Some(updates.max(moved?))
+    }
+
     /// What the servers said of themselves last.
-    fn last_words(&self) -> String {
+    pub(crate) fn last_words(&self) -> String {
         let looks = self.looks.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(look) = looks.last() else {
             return "nobody was asked".to_owned();

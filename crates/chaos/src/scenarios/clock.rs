@@ -59,7 +59,7 @@ fn jump(cluster: &Cluster, name: &str, file: &Path, to: &str) -> Result<f64> {
     interrupt::sleep(SHIFTED)?;
     match name {
         "learner" => kill9::kill_learner(cluster).map(|(secs, _)| secs),
-        "replay-0" => kill9::kill_replay(cluster, 0),
+        "replay-0" => kill9::kill_replay(cluster, 0).map(|back| back.seconds),
         _ => kill9::kill_actor(cluster, name),
     }
 }

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, bail};
+use anyhow::{Context as _, Result, bail};
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -66,7 +66,7 @@ pub(super) fn run(context: &Context) -> Result<Vec<Row>> {
         .map(|n| format!("actor-{n}"))
         .chain((0..ledgers).map(|n| format!("ledger-{n}")))
         .collect();
-    let (mut partial, count) = (0, order.len());
+    let (mut partial, mut moved_on, count) = (0, 0, order.len());
     for (number, victim) in order.into_iter().enumerate() {
         let row = &mut rows[victim as usize];
         row.tried += 1;
@@ -82,7 +82,10 @@ pub(super) fn run(context: &Context) -> Result<Vec<Row>> {
                     partial += u32::from(in_checkpoint);
                     secs
                 }),
-            Victim::Replay => kill_replay(&cluster, random.random_range(0..replays)),
+            Victim::Replay => kill_replay(&cluster, random.random_range(0..replays)).map(|back| {
+                moved_on += u32::from(back.moved_on);
+                back.seconds
+            }),
         };
         let words = match &recovered {
             Ok(secs) => format!("recovered in {secs:.1} s"),
@@ -98,6 +101,9 @@ pub(super) fn run(context: &Context) -> Result<Vec<Row>> {
     rows[2]
         .notes
         .push(format!("{partial} of them left a temporary folder behind"));
+    rows[3].notes.push(format!(
+        "{moved_on} times its actors had turned to the next server first"
+    ));
     let (begun, rollback) = (cluster.begun(), rollback(&cluster));
     finish(cluster, begun, rollback, &mut rows)?;
     Ok(rows.into())
@@ -128,20 +134,43 @@ pub(super) fn kill_learner(cluster: &Cluster) -> Result<(f64, bool)> {
     Ok((seconds, in_checkpoint))
 }
 
-pub(super) fn kill_replay(cluster: &Cluster, index: usize) -> Result<f64> {
-    let name = format!("replay-{index}");
+/// How a killed replay-server was got over.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ReplayBack {
+    pub(super) seconds: f64,
+    /// It was away for longer than an actor waits, and inserts go on at another server.
+    pub(super) moved_on: bool,
+}
+
+/// Kills a replay-server. It is got over when updates move, and inserts into its store; or, where an actor says that it
+/// has turned to the next server, inserts into any store after that.
+pub(super) fn kill_replay(cluster: &Cluster, index: usize) -> Result<ReplayBack> {
+    let (name, address) = (format!("replay-{index}"), &cluster.layout.replays[index]);
     let mark = cluster.mark();
     let inserts = inserts_into(cluster, index);
     let at = Instant::now();
     cluster.role(&name)?.kill()?;
-    let seconds = cluster.watch.recovery(at, inserts, RECOVERY)?;
+    let turned = format!("a replay-server stays away, turning to the next address=\"{address}\"");
+    let mut turned_at = None;
+    let what = "updates and inserts move again";
+    let (moves_at, moved_on) = interrupt::until(what, RECOVERY, || {
+        if let Some(moves_at) = cluster.watch.moves(at, inserts) {
+            return Ok(Some((moves_at, false)));
+        }
+        if turned_at.is_none() && cluster.said(&mark, "", &turned)?.is_some() {
+            turned_at = Some(Instant::now());
+        }
+        let moves_at = turned_at.and_then(|turned_at| cluster.watch.moves(turned_at, Inserts::Any));
+        Ok(moves_at.map(|moves_at| (moves_at, true)))
+    })
+    .with_context(|| cluster.watch.last_words())?;
     cluster.line(&mark, &name, "serving replay", RECOVERY)?;
-    let lost = format!(
-        "connection lost, trying again peer=replay-server {}",
-        cluster.layout.replays[index]
-    );
+    let lost = format!("connection lost, trying again peer=replay-server {address}");
     cluster.line(&mark, "learner", &lost, RECOVERY)?;
-    Ok(seconds)
+    Ok(ReplayBack {
+        seconds: moves_at.duration_since(at).as_secs_f64(),
+        moved_on,
+    })
 }
 
 /// Waits until the learner begins to write a checkpoint.
