@@ -94,6 +94,51 @@ fn a_run_behind_certificates_and_tokens_trains_and_strangers_stay_outside() -> R
     Ok(())
 }
 
+/// What each role is given by `deploy/`, where nobody gets all secrets.
+#[test]
+fn a_role_needs_no_secrets_but_its_own() -> Result<()> {
+    const CLIENT: [&str; 3] = ["ca.pem", "client.pem", "client.key"];
+    const SERVER: [&str; 3] = ["server.pem", "server.key", "tokens"];
+    let folder = tempfile::tempdir()?;
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    ensure!(isodream(&["secrets", &path("all")])?.status.success());
+    for (role, files) in [
+        ("replay", [&CLIENT[..], &SERVER].concat()),
+        (
+            "learner",
+            [&CLIENT[..], &SERVER, &["learner.token"]].concat(),
+        ),
+        ("actor", [&CLIENT[..], &["actor.token"]].concat()),
+    ] {
+        fs::create_dir(path(role))?;
+        for file in files {
+            fs::copy(
+                path(&format!("all/{file}")),
+                path(&format!("{role}/{file}")),
+            )?;
+        }
+    }
+    let (replay, learner) = (free_address()?, free_address()?);
+    let start = |role: &str, more: &[&str]| {
+        let secrets = path(role);
+        let usual = [role, "--preset", "debug", "--secrets", &secrets];
+        Running::start(&[&usual[..], more].concat())
+    };
+    let (store, run) = (path("store"), path("run"));
+    let _replay = start("replay", &["--dir", &store, "--listen", &replay])?;
+    let addresses = ["--replay", &replay];
+    let learns = ["--run-dir", &run, "--listen", &learner];
+    let _learner = start("learner", &[&learns[..], &addresses].concat())?;
+    let acts = ["--id", "actor-0", "--learner", &learner];
+    let _actor = start("actor", &[&acts[..], &addresses].concat())?;
+    until("the learner learns", LATER, || {
+        let metrics = fs::read_to_string(folder.path().join("run/metrics.jsonl"));
+        Ok(metrics
+            .is_ok_and(|metrics| metrics.contains("train/updates"))
+            .then_some(()))
+    })
+}
+
 #[test]
 fn what_would_be_open_to_all_does_not_start() -> Result<()> {
     let folder = tempfile::tempdir()?;

@@ -58,9 +58,16 @@ pub struct ServerOptions {
     pub tables: Vec<ServedTable>,
     /// Who may come in.
     pub door: Door,
-    /// The learner, or another relay, whose policies are handed on; none serves experience alone.
-    pub relay_policy: Option<String>,
-    /// How that one is reached.
+    /// Whose policies are handed on; none serves experience alone.
+    pub relay_policy: Option<PolicySource>,
+}
+
+/// The learner, or another relay, that policies come from.
+#[derive(Debug, Clone)]
+pub struct PolicySource {
+    /// `host:port`.
+    pub address: String,
+    /// How it is reached.
     pub dialer: Dialer,
 }
 
@@ -157,12 +164,12 @@ pub async fn serve_connections<C: isodream_rpc::Connection>(
         .max_decoding_message_size(MAX_MESSAGE_BYTES)
         .max_encoding_message_size(MAX_MESSAGE_BYTES);
     let relay = match &options.relay_policy {
-        Some(learner) => {
-            let relay = PolicyRelay::new(&options.dialer, learner, relay_name, stop.clone())?;
+        Some(PolicySource { address, dialer }) => {
+            let relay = PolicyRelay::new(dialer, address, relay_name, stop.clone())?;
             health
                 .set_serving::<LearnerServiceServer<PolicyService<PolicyRelay>>>()
                 .await;
-            tracing::info!(learner, "handing on policies");
+            tracing::info!(learner = address, "handing on policies");
             Some(policy_service(relay, stop.clone()))
         }
         None => None,

@@ -8,8 +8,8 @@ use clap::Args;
 use isodream_core::Config;
 use isodream_core::config::{SelectorKind, TableConfig};
 use isodream_replay::{Capacity, LimiterOptions, Selector, StoreOptions, Table};
-use isodream_replay_server::{ServedTable, ServerOptions};
-use isodream_rpc::{Dialer, Door, Role};
+use isodream_replay_server::{PolicySource, ServedTable, ServerOptions};
+use isodream_rpc::{Door, Role};
 use metrics_exporter_prometheus::PrometheusBuilder;
 
 use super::RoleArgs;
@@ -61,10 +61,14 @@ pub(crate) async fn replay(args: ServerArgs) -> anyhow::Result<()> {
     }
     // The parser asks for it unless there is a subcommand.
     let dir = args.dir.context("--dir is missing")?;
+    let client = &args.door.client;
+    let relay = |address| -> anyhow::Result<PolicySource> {
+        // To the learner a relay is an actor; who is none needs no actor's token.
+        let dialer = client.dialer(Role::Actor)?;
+        Ok(PolicySource { address, dialer })
+    };
     let options = ServerOptions {
-        relay_policy: args.relay_policy,
-        // To the learner a relay is an actor.
-        dialer: args.door.client.dialer(Role::Actor)?,
+        relay_policy: args.relay_policy.map(relay).transpose()?,
         ..server_options(&config, dir, door)
     };
     isodream_replay_server::serve(options, listener, shutdown).await
@@ -93,7 +97,6 @@ fn server_options(config: &Config, folder: PathBuf, door: Door) -> ServerOptions
         },
         door,
         relay_policy: None,
-        dialer: Dialer::default(),
         tables: config.replay.tables.iter().map(served_table).collect(),
     }
 }

@@ -47,7 +47,6 @@ fn server_role() {
             tolerance_steps: 0.0,
         },
         relay_policy: None,
-        dialer: isodream_rpc::Dialer::default(),
         tables: vec![ServedTable {
             table: Table::new("train", Selector::Episodes),
             limited: true,

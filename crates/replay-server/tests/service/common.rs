@@ -49,7 +49,6 @@ impl Server {
             },
             limiter,
             relay_policy: None,
-            dialer: isodream_rpc::Dialer::default(),
             tables: tables(),
             door: isodream_rpc::Door::default(),
         };

@@ -334,7 +334,6 @@ fn a_folder_in_use_is_named() {
         store: isodream_replay::StoreOptions::default(),
         limiter: NO_LIMIT,
         relay_policy: None,
-        dialer: Dialer::default(),
         tables: Vec::new(),
         door: isodream_rpc::Door::default(),
     };

@@ -1,7 +1,7 @@
 //! A replay-server that hands on the learner's policies.
 
 use isodream_proto::v1;
-use isodream_replay_server::{ServerOptions, serve};
+use isodream_replay_server::{PolicySource, ServerOptions, serve};
 use isodream_rpc::{
     Dialer, Door, KeepPolicies, Policy, PolicyDesk, PolicyPublisher, PolicyWatch, follow_policy,
     policy_service,
@@ -69,7 +69,6 @@ async fn one_address_takes_experience_and_hands_on_policies() {
         store: isodream_replay::StoreOptions::default(),
         limiter: NO_LIMIT,
         relay_policy,
-        dialer: Dialer::default(),
         tables: Vec::new(),
         door: Door::default(),
     };
@@ -79,7 +78,10 @@ async fn one_address_takes_experience_and_hands_on_policies() {
     let address = listener.local_addr().unwrap().to_string();
     let replay_shutdown = CancellationToken::new();
     let running = tokio::spawn(serve(
-        options(Some(learner)),
+        options(Some(PolicySource {
+            address: learner,
+            dialer: Dialer::default(),
+        })),
         listener,
         replay_shutdown.clone(),
     ));

@@ -66,7 +66,6 @@ pub(crate) async fn server(folder: PathBuf) -> Ended {
             },
             limiter: LIMITER,
             relay_policy: None,
-            dialer: Dialer::default(),
             tables: vec![ServedTable {
                 table: Table::new("train", Selector::Episodes),
                 limited: true,

@@ -3,7 +3,7 @@
 use anyhow::Context;
 use isodream_replay::{Capacity, LimiterOptions, Selector, StoreOptions, Table};
 use isodream_replay_server::{ServedTable, ServerOptions, serve};
-use isodream_rpc::{Dialer, Door};
+use isodream_rpc::Door;
 use serde::{Deserialize, Serialize};
 use tokio_util::sync::CancellationToken;
 
@@ -37,7 +37,6 @@ pub(super) fn run(work: &Work) -> anyhow::Result<()> {
             tolerance_steps: 0.0,
         },
         relay_policy: None,
-        dialer: Dialer::default(),
         tables: vec![ServedTable {
             table: Table::new(TABLE, Selector::Episodes),
             limited: false,
