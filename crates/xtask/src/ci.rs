@@ -38,6 +38,10 @@ pub(crate) fn ci(root: &Path) -> Result<()> {
     stage("clippy without MuJoCo", || {
         clippy(&["--package", "isodream-envs", "--no-default-features"])
     })?;
+    // What the image of the replay-server holds.
+    stage("clippy without libtorch", || {
+        clippy(&["--package", "isodream", "--no-default-features"])
+    })?;
     stage("doc", || {
         let args = ["doc", "--workspace", "--no-deps", "--locked"];
         run(cargo(root, args).env("RUSTDOCFLAGS", "-D warnings"))
