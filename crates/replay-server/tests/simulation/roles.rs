@@ -133,7 +133,7 @@ pub(crate) async fn actor(
             tokio::time::sleep(Duration::from_millis(pause)).await;
         }
         if stop.is_cancelled() && !refused {
-            match client.flush(Duration::from_secs(600)).await {
+            match client.flush(Duration::from_secs(86_400)).await {
                 Err(RpcError::Refused { .. }) => refused = true,
                 flushed => {
                     flushed?;
