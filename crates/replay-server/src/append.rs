@@ -149,13 +149,15 @@ impl Reader {
         let result = tokio::select! {
             result = self.read(&mut requests) => result,
             () = self.progress.over.cancelled() => return,
-            () = self.state.stop.cancelled() => {
-                // What was handed to the commit thread is still stored and acknowledged.
-                drop(self);
-                discard(requests).await;
-                return;
-            }
+            () = self.state.stop.cancelled() => Ok(()),
         };
+        // Also where reading ended first, because the commit thread takes nothing any more.
+        if self.state.stop.is_cancelled() {
+            // What was handed to the commit thread is still stored and acknowledged, and then the stream ends.
+            drop(self);
+            discard(requests).await;
+            return;
+        }
         match result {
             Ok(()) => tracing::debug!(actor = %self.actor_id, "append stream closed by its peer"),
             Err(error) => self.progress.end(error),
