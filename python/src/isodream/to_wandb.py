@@ -1,0 +1,86 @@
+"""Run directories on Weights & Biases: `python -m isodream.to_wandb runs/mine`.
+
+Each run directory becomes a run there: metrics over environment frames, the configuration, the films and panels of
+`media/`. The same command later adds what is new. `WANDB_MODE=offline` writes to `wandb/` instead, for `wandb sync`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import secrets
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+METRICS = "metrics.jsonl"
+RUN_ID = "wandb-run-id"
+MEDIA = {"episode": "eval/film", "open_loop": "open_loop/moving"}
+
+
+def rows(run_dir: Path) -> list[dict[str, float]]:
+    """The lines of `metrics.jsonl`; one that is still being written is left for the next time."""
+    lines = (run_dir / METRICS).read_text().splitlines(keepends=True)
+    return [json.loads(line) for line in lines if line.endswith("\n")]
+
+
+def media(run_dir: Path) -> Iterator[tuple[int, str, Path]]:
+    """Frames, metric and file of every film and panel, in the order of frames."""
+    found = []
+    for path in (run_dir / "media").glob("*.mp4"):
+        kind, _, frames = path.stem.rpartition("-")
+        if kind in MEDIA and frames.isdecimal():
+            found.append((int(frames), MEDIA[kind], path))
+    yield from sorted(found)
+
+
+def upload(run_dir: Path, project: str, entity: str | None = None) -> int:
+    """Hands a run directory to Weights & Biases, which must be installed, and returns the number of new rows."""
+    if not (run_dir / METRICS).is_file():
+        msg = f"{run_dir} is no run directory: it has no {METRICS}"
+        raise FileNotFoundError(msg)
+    import wandb
+
+    config = tomllib.loads((run_dir / "config.toml").read_text())
+    # Known by it wherever the directory is moved to.
+    known_as = run_dir / RUN_ID
+    if not known_as.exists():
+        known_as.write_text(secrets.token_hex(4))
+    name = "/".join(part for part in run_dir.resolve().parts[-3:] if part != "/")
+    run = wandb.init(project=project, entity=entity, id=known_as.read_text(), name=name, config=config, resume="allow")
+    run.define_metric("frames", hidden=True)
+    run.define_metric("*", step_metric="frames")
+    # Each row is one step there, so that the number of steps is that of the rows which are there already.
+    begin = int(run.step)
+    table = rows(run_dir)
+    films = [film for film in media(run_dir) if begin == 0 or film[0] > table[begin - 1]["frames"]]
+    for row in table[begin:]:
+        shown: dict[str, Any] = {key: value for key, value in row.items() if math.isfinite(value)}
+        while films and films[0][0] <= row["frames"]:
+            _, metric, path = films.pop(0)
+            shown[metric] = wandb.Video(str(path), format="mp4")
+        run.log(shown)
+    run.finish()
+    return len(table) - begin
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="python -m isodream.to_wandb", description=__doc__.partition("\n")[0])
+    parser.add_argument("run_dirs", nargs="+", type=Path, metavar="RUN_DIR")
+    parser.add_argument("--project", default="isodream")
+    parser.add_argument("--entity", help="a team, or the user who is logged in")
+    args = parser.parse_args()
+    for run_dir in args.run_dirs:
+        try:
+            new = upload(run_dir, args.project, args.entity)
+        except (ImportError, OSError) as error:
+            cure = "; pip install wandb" if isinstance(error, ImportError) else ""
+            raise SystemExit(f"error: {error}{cure}") from error
+        print(f"{run_dir}: {new} new rows")
+
+
+if __name__ == "__main__":
+    main()
