@@ -37,6 +37,10 @@ impl ChunkBuilder {
         }
     }
 
+    pub(crate) fn actor_id(&self) -> &str {
+        &self.actor_id
+    }
+
     /// The episode of the newest step.
     pub(crate) fn episode_id(&self) -> EpisodeId {
         self.episode_id

@@ -77,7 +77,9 @@ pub async fn run(options: ActorOptions, shutdown: CancellationToken) -> anyhow::
                         film.take(moment, &spec);
                     }
                 };
-                let outcome = match episode(env.as_mut(), &mut pilot, seed, &go_on, &mut watch) {
+                let span = tracing::debug_span!("evaluate", actor = options.actor_id, index);
+                let run = || episode(env.as_mut(), &mut pilot, seed, &go_on, &mut watch);
+                let outcome = match span.in_scope(run) {
                     Ok(outcome) => outcome,
                     Err(error) => {
                         failures.another(error)?;

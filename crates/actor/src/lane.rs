@@ -2,6 +2,7 @@
 
 use isodream_core::{Chunk, Config, EnvSpec, EpisodeId, Step};
 use isodream_envs::{EndReason, Transition};
+use tracing::{Span, field};
 
 use crate::chunks::ChunkBuilder;
 use crate::rollout::Outcome;
@@ -17,6 +18,8 @@ pub(crate) struct Lane {
     score: f64,
     length: u32,
     end_reason: Option<EndReason>,
+    /// Of the running episode.
+    span: Span,
 }
 
 impl Lane {
@@ -43,6 +46,7 @@ impl Lane {
             score: 0.0,
             length: 0,
             end_reason: None,
+            span: Span::none(),
         }
     }
 
@@ -59,6 +63,12 @@ impl Lane {
     /// Row 0 of an episode.
     pub(crate) fn begin(&mut self, first: Transition) {
         (self.score, self.length, self.end_reason) = (0.0, 0, None);
+        self.span = tracing::debug_span!(
+            "episode",
+            actor = self.builder.actor_id(),
+            score = field::Empty,
+            steps = field::Empty
+        );
         let action = vec![0.0; self.action_dim];
         self.push(row(first, action, true));
     }
@@ -73,6 +83,8 @@ impl Lane {
 
     /// The episode that the newest row ended, and what it came to.
     pub(crate) fn finish(&self, metrics: Vec<(&'static str, f64)>) -> (EpisodeId, Outcome) {
+        self.span.record("score", self.score);
+        self.span.record("steps", self.length);
         let outcome = Outcome {
             score: self.score,
             length: self.length,

@@ -31,7 +31,7 @@ mod tuning;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use isodream_telemetry::{LogFormat, init_logging};
+use isodream_telemetry::{LogFormat, Logging, init_logging};
 
 /// Model-based reinforcement learning with isolated imaginations (Iso-Dream++)
 #[derive(Debug, Parser)]
@@ -85,6 +85,20 @@ enum Command {
     Bench(bench::BenchCommand),
 }
 
+impl Command {
+    /// By which a process of this command is known to those who collect traces.
+    fn service(&self) -> &'static str {
+        match self {
+            Self::Replay(_) => "isodream-replay",
+            #[cfg(feature = "torch")]
+            Self::Learner(_) => "isodream-learner",
+            #[cfg(feature = "torch")]
+            Self::Actor(_) => "isodream-actor",
+            _ => "isodream",
+        }
+    }
+}
+
 fn main() -> ExitCode {
     let args = Args::parse();
     match run(args.command) {
@@ -122,10 +136,13 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         Command::Env(_) | Command::Bench(_) | Command::Health(_) | Command::Doctor(_) => "warn",
         _ => "info",
     };
-    init_logging(filter, LogFormat::Text)?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()?;
+    let logging = {
+        let _entered = runtime.enter();
+        init_logging(filter, LogFormat::Text, command.service())?
+    };
     let result = match command {
         #[cfg(feature = "torch")]
         Command::Train(args) => runtime.block_on(train::run(args)),
@@ -134,7 +151,9 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
             None => runtime.block_on(roles::replay(args.server)),
         },
         #[cfg(feature = "torch")]
-        Command::Learner(args) => return finish(runtime.block_on(roles::learner(args)), runtime),
+        Command::Learner(args) => {
+            return finish(runtime.block_on(roles::learner(args)), logging, runtime);
+        }
         #[cfg(feature = "torch")]
         Command::Actor(args) => runtime.block_on(roles::actor(args)),
         #[cfg(feature = "torch")]
@@ -152,14 +171,16 @@ fn run(command: Command) -> anyhow::Result<ExitCode> {
         Command::Env(command) => env::run(&command, &runtime),
         Command::Bench(command) => bench::run(&command),
     };
-    finish(result.map(|()| ExitCode::SUCCESS), runtime)
+    finish(result.map(|()| ExitCode::SUCCESS), logging, runtime)
 }
 
-/// Ends the runtime without waiting: a reader of standard input cannot be interrupted.
+/// Sends the last spans and ends the runtime without waiting: a reader of standard input cannot be interrupted.
 fn finish(
     result: anyhow::Result<ExitCode>,
+    logging: Logging,
     runtime: tokio::runtime::Runtime,
 ) -> anyhow::Result<ExitCode> {
+    drop(logging);
     runtime.shutdown_background();
     result
 }

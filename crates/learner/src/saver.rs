@@ -34,7 +34,11 @@ impl Saver {
         let (dir, keep) = (self.dir.clone(), self.keep);
         let writing = std::thread::Builder::new()
             .name("saver".into())
-            .spawn(move || checkpoint.save(&dir, keep))
+            .spawn(move || {
+                let updates = checkpoint.counters.updates;
+                let _write = tracing::debug_span!("write_checkpoint", updates).entered();
+                checkpoint.save(&dir, keep)
+            })
             .context("cannot start the saver thread")?;
         self.writing = Some(writing);
         Ok(())

@@ -335,6 +335,8 @@ impl Training {
                 continue;
             };
             let pretraining = agent.updates() < learner.pretrain_updates;
+            let _update =
+                tracing::debug_span!("update", update = agent.updates() + 1, pretraining).entered();
             self.progress.set(|status| {
                 status.phase = if pretraining {
                     "pretraining"
@@ -344,7 +346,7 @@ impl Training {
                 .into();
             });
             let steps = batch.steps.to_batch(self.options.device);
-            *last = agent.update(&steps);
+            *last = tracing::debug_span!("learn").in_scope(|| agent.update(&steps));
             self.counters.updates = agent.updates();
             self.counters.sampled_steps.extend(batch.sampled_steps);
             self.counters.env_frames = self.progress.env_frames();
@@ -382,6 +384,7 @@ impl Training {
     /// The next batch; none if there was none yet, so that the loop can look around.
     fn next_batch(&mut self, metrics: &mut MetricsWriter) -> anyhow::Result<Option<StagedBatch>> {
         self.write_reports(metrics)?;
+        let _wait = tracing::debug_span!("wait_for_batch").entered();
         let begun = Instant::now();
         let batch = self.batches.next(PATIENCE)?;
         match self.first_batch {
@@ -404,6 +407,7 @@ impl Training {
     }
 
     fn publish(&self, agent: &Agent) {
+        let _publish = tracing::debug_span!("publish_policy").entered();
         let version = v1::PolicyVersion {
             learner_epoch: self.learner_epoch,
             version: agent.updates(),

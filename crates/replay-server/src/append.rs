@@ -10,6 +10,7 @@ use isodream_rpc::ServiceError;
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 use tonic::{Code, Status, Streaming};
+use tracing::Instrument as _;
 
 use crate::commit::{Command, Position, Submission};
 use crate::state::{Admission, State, stopping};
@@ -189,11 +190,19 @@ impl Reader {
                     chunk.seq, chunk.actor_id, chunk.epoch, self.actor_id, self.epoch
                 )));
             }
-            let admission = self.admit(chunk.steps).await;
+            let span = tracing::debug_span!(
+                "append",
+                actor = self.actor_id,
+                seq = chunk.seq,
+                steps = chunk.steps
+            );
+            let waits = tracing::debug_span!(parent: &span, "wait_for_limiter");
+            let admission = self.admit(chunk.steps).instrument(waits).await;
             let command = Command::Store(Submission {
                 chunk,
                 admission,
                 progress: self.progress.clone(),
+                _span: span,
             });
             self.state.command(command).await?;
         }

@@ -51,6 +51,8 @@ pub(crate) struct Submission {
     pub(crate) chunk: Chunk,
     pub(crate) admission: Admission,
     pub(crate) progress: Arc<Progress>,
+    /// Ends when the stream was told.
+    pub(crate) _span: tracing::Span,
 }
 
 pub(crate) struct Committer {
@@ -160,6 +162,12 @@ impl Committer {
         if self.pending.is_empty() || self.retry_at.is_some_and(|at| Instant::now() < at) {
             return Ok(());
         }
+        let _commit = tracing::debug_span!(
+            "commit",
+            chunks = self.pending.len(),
+            bytes = self.pending_bytes
+        )
+        .entered();
         // Payloads are shared, not copied.
         let chunks = self.pending.iter().map(|held| held.chunk.clone()).collect();
         let begun = Instant::now();

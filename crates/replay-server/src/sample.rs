@@ -191,7 +191,9 @@ impl SampleStream {
     /// Reads and sends; what cannot be read goes out of the store and its credit back.
     async fn send(&mut self, draws: Vec<(Draw, SequenceRef)>) -> Result<(), ServiceError> {
         self.announced.clear();
+        let span = tracing::debug_span!("read_sequences", sequences = draws.len());
         let read = tokio::task::spawn_blocking(move || {
+            let _read = span.entered();
             draws
                 .into_iter()
                 .map(|(draw, sequence)| {

@@ -34,6 +34,14 @@ pub enum Error {
         "logging is already initialised in this process: call init_logging once, first thing in main"
     )]
     LoggingTwice,
+    /// Traces were asked for and cannot be sent.
+    #[error(
+        "cannot send traces to OTEL_EXPORTER_OTLP_ENDPOINT: {reason}; write for example `http://localhost:4317`"
+    )]
+    Traces {
+        /// What stands in the way.
+        reason: String,
+    },
     /// A metric has the name of a column that every line has anyway.
     #[error("metric name `{name}` is taken by a column of every line: rename the metric")]
     ReservedName {

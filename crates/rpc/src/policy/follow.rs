@@ -5,6 +5,7 @@ use isodream_proto::v1;
 use sha2::{Digest, Sha256};
 use tokio::time::Instant;
 use tonic::{Code, Status};
+use tracing::Instrument as _;
 
 use super::publisher::{Policy, hexadecimal};
 use crate::error::words;
@@ -97,7 +98,9 @@ async fn connection(
 ) -> Result<(), Status> {
     let mut announcements = client.watch_policy(request.clone()).await?.into_inner();
     while let Some(announcement) = announcements.message().await? {
-        match fetch(client, &announcement, sink).await {
+        let version = announcement.version.map(|version| version.version);
+        let span = tracing::debug_span!("fetch_policy", version, bytes = announcement.bytes);
+        match fetch(client, &announcement, sink).instrument(span).await {
             Ok(()) => *progressed = true,
             // Superseded meanwhile: the next announcement is on its way.
             Err(status) if status.code() == Code::NotFound => {}

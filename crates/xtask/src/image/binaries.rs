@@ -56,7 +56,8 @@ fn torch_free_binary(root: &Path) -> Result<PathBuf> {
     }
     let built = stage("build without libtorch", || {
         let args = ["build", "--release", "--locked", "--no-default-features"];
-        run(cargo(root, args).args(["-p", "isodream"]))?;
+        let which = ["--package", "isodream", "--features", "opentelemetry"];
+        run(cargo(root, args).args(which))?;
         renamed(&path, &made)
     });
     if present {
