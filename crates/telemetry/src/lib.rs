@@ -1,6 +1,7 @@
 //! What a run tells the people who watch it: logs, traces, metrics, pictures and videos.
 //!
-//! This crate knows no network (but for traces, with the feature `opentelemetry`), no tensors and none of Isodream's own types, so that every role can use it.
+//! This crate knows no network (but for traces, with the feature `opentelemetry`), no tensors and none of Isodream's own
+//! types, so that every role can use it.
 
 mod animation;
 mod csv_log;
