@@ -27,8 +27,8 @@ class Wandb:
             self.finished = 0
 
         @property
-        def step(self) -> int:
-            return len(self.rows)
+        def summary(self) -> dict[str, Any]:
+            return {key: value for row in self.rows for key, value in row.items()}
 
         def define_metric(self, name: str, *, step_metric: str | None = None, hidden: bool = False) -> None:
             self.step_metrics[name] = step_metric
@@ -105,7 +105,7 @@ def test_the_same_command_adds_what_is_new(run_dir: Path, wandb: Wandb) -> None:
     metrics.write_text(metrics.read_text() + unfinished)
     assert to_wandb.upload(run_dir, "test") == 3
     metrics.write_text(metrics.read_text().removesuffix(unfinished))
-    add_rows(run_dir, {"frames": 400, "eval/score": 8.0})
+    add_rows(run_dir, {"frames": 400, "time": 4.0, "eval/score": 8.0})
     add_film(run_dir, 350)
     moved = run_dir.rename(run_dir.with_name("elsewhere"))
     assert to_wandb.upload(moved, "test") == 1
@@ -113,6 +113,17 @@ def test_the_same_command_adds_what_is_new(run_dir: Path, wandb: Wandb) -> None:
     assert [row["frames"] for row in run.rows] == [100, 100, 300, 400]
     assert run.rows[3]["eval/film"].path.name == "episode-0000000350.mp4"
     assert to_wandb.upload(moved, "test") == 0
+
+
+def test_rows_that_a_resumed_learner_cut_off_do_not_hide_new_ones(run_dir: Path, wandb: Wandb) -> None:
+    assert to_wandb.upload(run_dir, "test") == 3
+    metrics = run_dir / "metrics.jsonl"
+    metrics.write_text(metrics.read_text().splitlines(keepends=True)[0])
+    assert to_wandb.upload(run_dir, "test") == 0
+    add_rows(run_dir, {"frames": 300, "time": 5.0, "eval/score": 6.0})
+    assert to_wandb.upload(run_dir, "test") == 1
+    (run,) = wandb.runs.values()
+    assert [row["time"] for row in run.rows] == [1.0, 2.0, 3.0, 5.0]
 
 
 def test_a_folder_without_metrics_is_refused_by_name(tmp_path: Path) -> None:

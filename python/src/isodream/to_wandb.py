@@ -52,18 +52,18 @@ def upload(run_dir: Path, project: str, entity: str | None = None) -> int:
     run = wandb.init(project=project, entity=entity, id=known_as.read_text(), name=name, config=config, resume="allow")
     run.define_metric("frames", hidden=True)
     run.define_metric("*", step_metric="frames")
-    # Each row is one step there, so that the number of steps is that of the rows which are there already.
-    begin = int(run.step)
-    table = rows(run_dir)
-    films = [film for film in media(run_dir) if begin == 0 or film[0] > table[begin - 1]["frames"]]
-    for row in table[begin:]:
+    # The newest values are known there. Rows are told apart by time: a learner that resumes cuts rows off.
+    newest_time, newest_frames = (float(run.summary.get(key, -math.inf)) for key in ("time", "frames"))
+    new = [row for row in rows(run_dir) if row["time"] > newest_time]
+    films = [film for film in media(run_dir) if film[0] > newest_frames]
+    for row in new:
         shown: dict[str, Any] = {key: value for key, value in row.items() if math.isfinite(value)}
         while films and films[0][0] <= row["frames"]:
             _, metric, path = films.pop(0)
             shown[metric] = wandb.Video(str(path), format="mp4")
         run.log(shown)
     run.finish()
-    return len(table) - begin
+    return len(new)
 
 
 def main() -> None:
