@@ -53,7 +53,8 @@ def upload(run_dir: Path, project: str, entity: str | None = None) -> int:
     run.define_metric("frames", hidden=True)
     run.define_metric("*", step_metric="frames")
     # The newest values are known there. Rows are told apart by time: a learner that resumes cuts rows off.
-    newest_time, newest_frames = (float(run.summary.get(key, -math.inf)) for key in ("time", "frames"))
+    summary: Any = run.summary
+    newest_time, newest_frames = (float(summary.get(key, -math.inf)) for key in ("time", "frames"))
     new = [row for row in rows(run_dir) if row["time"] > newest_time]
     films = [film for film in media(run_dir) if film[0] > newest_frames]
     for row in new:
