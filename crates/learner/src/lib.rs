@@ -12,6 +12,7 @@
 //!
 //! A learner never touches an environment. Killed at any moment, it goes on from its newest valid checkpoint.
 
+mod beginning;
 pub mod checkpoint;
 mod evaluations;
 mod media;

@@ -3,8 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail, ensure};
-use isodream_core::config::LearnerConfig;
+use anyhow::{Context, bail};
 use isodream_core::derive_seed;
 use isodream_model::Agent;
 use isodream_model::agent::Metric;
@@ -18,6 +17,7 @@ use isodream_telemetry::{MetricsWriter, ResumePoint};
 use tokio_util::sync::CancellationToken;
 
 use crate::LearnerOptions;
+use crate::beginning::Beginning;
 use crate::checkpoint::{Checkpoint, Counters};
 use crate::evaluations::Evaluations;
 use crate::media::{Drawn, Media};
@@ -62,14 +62,8 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
     let config_path = options.run_dir.join("config.toml");
     std::fs::write(&config_path, config.to_toml())
         .with_context(|| format!("cannot write {}", config_path.display()))?;
-    let checkpoint = Checkpoint::load_newest(&options.run_dir.join("checkpoints"))?;
-    if let Some(checkpoint) = &checkpoint {
-        check_belongs(checkpoint, &options)?;
-    }
-    let counters = checkpoint
-        .as_ref()
-        .map(|c| c.counters.clone())
-        .unwrap_or_default();
+    let beginning = Beginning::find(&options)?;
+    let counters = beginning.counters();
     let total = config.total_updates();
     let patience = Duration::from_secs_f64(config.learner.stop_secs);
     let progress = Arc::new(Progress::new(
@@ -151,7 +145,7 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
         first_batch: None,
     };
     let stop = shutdown.clone();
-    let training = tokio::task::spawn_blocking(move || training.run(checkpoint, &stop));
+    let training = tokio::task::spawn_blocking(move || training.run(beginning, &stop));
     let finished = tokio::select! {
         finished = training => finished.context("the training thread died")?,
         () = overdue(&shutdown, patience) => {
@@ -173,47 +167,10 @@ pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow
     Ok(finished)
 }
 
-/// Begins a new run with parameters of another one.
-fn transfer(agent: &mut Agent, config: &LearnerConfig) -> anyhow::Result<()> {
-    let from = Checkpoint::find(config.initial.as_ref()).context("learner.initial")?;
-    let taken = agent
-        .transfer(&from.model, &config.initial_parts)
-        .with_context(|| format!("learner.initial: {} does not fit this run", config.initial))?;
-    ensure!(
-        taken > 0,
-        "learner.initial_parts: no parameter has one of {:?} in its name; write for example noncontrollable",
-        config.initial_parts
-    );
-    tracing::info!(
-        taken,
-        from = config.initial,
-        updates = from.counters.updates,
-        "transferred parameters"
-    );
-    Ok(())
-}
-
 /// Comes when a stop has been waited for long enough.
 async fn overdue(shutdown: &CancellationToken, patience: Duration) {
     shutdown.cancelled().await;
     tokio::time::sleep(patience).await;
-}
-
-/// Refuses a checkpoint of another environment or model, by name.
-fn check_belongs(checkpoint: &Checkpoint, options: &LearnerOptions) -> anyhow::Result<()> {
-    let spec = options.spec.to_string();
-    ensure!(
-        checkpoint.env_spec == spec,
-        "the checkpoint in {} is of environment {}, this run is of {spec}; choose another --run-dir",
-        options.run_dir.display(),
-        checkpoint.env_spec
-    );
-    ensure!(
-        checkpoint.config.model_hash() == options.config.model_hash(),
-        "the checkpoint in {} has other [model] settings than this run; choose another --run-dir or the old settings",
-        options.run_dir.display()
-    );
-    Ok(())
 }
 
 /// Keeps the number of environment frames and the rates true.
@@ -252,31 +209,15 @@ struct Training {
 impl Training {
     fn run(
         mut self,
-        checkpoint: Option<Checkpoint>,
+        beginning: Beginning,
         shutdown: &CancellationToken,
     ) -> anyhow::Result<Finished> {
         let config = self.options.config.clone();
         if config.learner.threads > 0 {
             tch::set_num_threads(config.learner.threads);
         }
-        let mut agent = Agent::new(&config, &self.options.spec, self.options.device);
-        let resumed = checkpoint.is_some();
-        if let Some(checkpoint) = checkpoint {
-            agent
-                .load(
-                    &checkpoint.model,
-                    &checkpoint.optimizer,
-                    checkpoint.counters.updates,
-                )
-                .context("the checkpoint does not fit this configuration")?;
-            tracing::info!(
-                updates = checkpoint.counters.updates,
-                "resumed from checkpoint"
-            );
-        }
-        if !resumed && !config.learner.initial.is_empty() {
-            transfer(&mut agent, &config.learner)?;
-        }
+        let resumed = beginning.is_resumed();
+        let mut agent = beginning.agent(&self.options)?;
         let resume = resumed.then_some(ResumePoint {
             frames: self.counters.env_frames,
             counter: UPDATES,

@@ -9,16 +9,17 @@ use crate::interrupt;
 use crate::table::Row;
 use crate::watch::Inserts;
 
-/// A tenth of what the learner draws at full pace.
-const KBIT_S: u32 = 256;
+/// The hosts, and how many kbit/s their links carry meanwhile. All that is sampled, and the policies of all actors, go over
+/// the learner's link, over that of a replay-server half of the batches and no policy.
+const LINKS: [(&str, u32); 2] = [("replay-0", 256), ("learner", 1024)];
 
 pub(super) fn run(context: &Context) -> Result<Vec<Row>> {
     let folder = tempfile::tempdir()?;
     let cluster = partition::start(context, folder.path())?;
     let secs = context.hold.as_secs();
     let mut rows = Vec::new();
-    for host in ["replay-0", "learner"] {
-        let how = format!("tc tbf: {KBIT_S} kbit/s both ways with a queue of 400 ms, for {secs} s");
+    for (host, kbit_s) in LINKS {
+        let how = format!("tc tbf: {kbit_s} kbit/s both ways with a queue of 400 ms, for {secs} s");
         let mut row = Row::new(&format!("slow link of {host}"), &how);
         row.tried = 1;
         let network = cluster
@@ -26,7 +27,7 @@ pub(super) fn run(context: &Context) -> Result<Vec<Row>> {
             .as_ref()
             .context("the cluster has no network")?;
         let (before, begun) = (cluster.watch.updates(), Instant::now());
-        network.slow(host, Some(KBIT_S))?;
+        network.slow(host, Some(kbit_s))?;
         let moves = cluster.watch.recovery(begun, Inserts::Any, RECOVERY);
         let slept = interrupt::sleep(context.hold.saturating_sub(begun.elapsed()));
         let during = cluster.watch.updates();
