@@ -150,7 +150,7 @@ impl Committer {
     fn begin(&mut self, hello: &Hello) -> Result<Position, ReplayError> {
         let epoch = self
             .writer
-            .epoch_for(&hello.actor_id, hello.process, hello.epoch);
+            .epoch_for(&hello.actor_id, hello.process, hello.epoch)?;
         let next_seq = self
             .writer
             .begin(&hello.actor_id, epoch, hello.acknowledged_seq)?;

@@ -8,7 +8,7 @@ use isodream_proto::v1::{
     SampleReply, SampleRequest, append_request, sample_request,
 };
 use isodream_proto::{Identity, Mismatch};
-use isodream_replay::StoreIdentity;
+use isodream_replay::{MAX_ACTOR_ID_BYTES, StoreIdentity};
 use isodream_rpc::ServiceError;
 use isodream_rpc::limits::HELLO_TIMEOUT;
 use tokio::sync::oneshot;
@@ -83,12 +83,13 @@ impl ReplayServer {
             .map_err(|error| ServiceError::Internal(format!("preparing a table failed: {error}")))?
             .map_err(|error| service_error(&error))?;
         let limited = served.limited;
-        let reign = self
-            .state
-            .admit_learner(if limited { hello.learner_epoch } else { 0 })?;
-        if limited {
-            self.state.learner_connected(&sampler, hello.sampled_steps);
-        }
+        let reign = match limited {
+            true => {
+                let (epoch, sampled) = (hello.learner_epoch, hello.sampled_steps);
+                self.state.learner_connected(epoch, &sampler, sampled)?
+            }
+            false => self.state.admit_learner(0)?,
+        };
         Ok((Drawer { sampler, limited }, reign))
     }
 }
@@ -118,7 +119,9 @@ impl ReplayService for ReplayServer {
             return Err(ServiceError::from(Mismatch::Missing).into());
         };
         let position = self.begin(&hello).await.inspect_err(|error| {
-            tracing::warn!(actor = %hello.actor_id, epoch = hello.epoch, ?peer, %error, "refused an actor");
+            // As much of its name as a store would take.
+            let actor = &hello.actor_id[..hello.actor_id.floor_char_boundary(MAX_ACTOR_ID_BYTES)];
+            tracing::warn!(actor, epoch = hello.epoch, ?peer, %error, "refused an actor");
         })?;
         let Position { epoch, next_seq } = position;
         tracing::info!(actor = %hello.actor_id, epoch, next_seq, ?peer, "actor connected");

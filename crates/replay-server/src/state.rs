@@ -179,11 +179,22 @@ impl State {
         self.changed.notify_waiters();
     }
 
-    /// The learner of a limited table connects: its count and its sequences are what the limiter works with.
-    pub(crate) fn learner_connected(&self, sampler: &Sampler, sampled_steps: u64) {
-        *self.learner() = Some(sampler.clone());
+    /// The learner of a limited table connects: its count and its sequences are what the limiter works with, unless a
+    /// newer learner has come.
+    pub(crate) fn learner_connected(
+        &self,
+        epoch: u64,
+        sampler: &Sampler,
+        sampled_steps: u64,
+    ) -> Result<Reign, ServiceError> {
+        // Held throughout: a newer one that comes at the same time is admitted before this one, or counts after it.
+        let mut learner = self.learner();
+        let reign = self.admit_learner(epoch)?;
+        *learner = Some(sampler.clone());
         self.limiter().set_sampled(sampled_steps);
+        drop(learner);
         self.changed.notify_waiters();
+        Ok(reign)
     }
 
     pub(crate) fn status(&self) -> ReplayStatus {

@@ -31,7 +31,7 @@ pub enum ReplayError {
         /// The identity file.
         path: PathBuf,
     },
-    /// The disk is full; nothing of the refused group was kept, and the store still serves.
+    /// The disk, or the owner's quota, is full; nothing of the refused group was kept, and the store still serves.
     #[error("no space is left for replay segment {}; free space or lower the replay capacity", .path.display())]
     Full {
         /// The segment that could not grow.
@@ -123,6 +123,14 @@ pub enum ReplayError {
     },
 }
 
+/// Whether there is no room: on the disk, or in the owner's quota.
+pub(crate) fn is_full(kind: io::ErrorKind) -> bool {
+    matches!(
+        kind,
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded
+    )
+}
+
 impl ReplayError {
     /// Whether the process must end: the state of the disk is unknown.
     pub fn is_fatal(&self) -> bool {
@@ -138,7 +146,7 @@ impl ReplayError {
 
     pub(crate) fn io(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> Self {
         move |source| {
-            if source.kind() == io::ErrorKind::StorageFull {
+            if is_full(source.kind()) {
                 Self::Full {
                     path: path.to_owned(),
                 }
@@ -150,5 +158,20 @@ impl ReplayError {
                 }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_disk_and_a_spent_quota_are_both_waited_for() {
+        for kind in [io::ErrorKind::StorageFull, io::ErrorKind::QuotaExceeded] {
+            let error = ReplayError::io("write", Path::new("1.seg"))(kind.into());
+            assert!(matches!(error, ReplayError::Full { .. }), "{error}");
+        }
+        let error = ReplayError::io("write", Path::new("1.seg"))(io::ErrorKind::NotFound.into());
+        assert!(matches!(error, ReplayError::Io { .. }), "{error}");
     }
 }

@@ -52,6 +52,8 @@ pub enum Outcome {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Ledger {
     positions: BTreeMap<String, (u64, u64)>,
+    /// Positions before the changes that are not durable yet, the newest change last.
+    undo: Vec<(String, Option<(u64, u64)>)>,
     /// The process that each actor's newest epoch was handed out to, as far as it happened since the store was opened.
     processes: BTreeMap<String, (u64, u64)>,
 }
@@ -76,8 +78,7 @@ impl Ledger {
             return Outcome::Gap { expected_seq };
         }
         let next_seq = expected_seq + 1;
-        self.positions
-            .insert(chunk.actor_id.clone(), (chunk.epoch, next_seq));
+        self.set(&chunk.actor_id, (chunk.epoch, next_seq));
         Outcome::Stored { next_seq }
     }
 
@@ -130,9 +131,28 @@ impl Ledger {
             .filter(|(known, _)| epoch == *known)
             .map(|(_, seq)| seq);
         let next_seq = stored_seq.unwrap_or(0).max(acknowledged_seq);
-        self.positions
-            .insert(actor_id.to_owned(), (epoch, next_seq));
+        self.set(actor_id, (epoch, next_seq));
         Ok((next_seq, stored_seq != Some(next_seq)))
+    }
+
+    fn set(&mut self, actor_id: &str, position: (u64, u64)) {
+        let before = self.positions.insert(actor_id.to_owned(), position);
+        self.undo.push((actor_id.to_owned(), before));
+    }
+
+    /// All changes are durable.
+    pub(crate) fn keep(&mut self) {
+        self.undo.clear();
+    }
+
+    /// Takes back all changes that are not durable.
+    pub(crate) fn roll_back(&mut self) {
+        while let Some((actor_id, before)) = self.undo.pop() {
+            match before {
+                Some(position) => self.positions.insert(actor_id, position),
+                None => self.positions.remove(&actor_id),
+            };
+        }
     }
 
     /// Takes over a stored position; positions never move backwards.
@@ -146,6 +166,13 @@ impl Ledger {
         }
     }
 
+    /// All positions without the changes that are not durable.
+    pub(crate) fn durable_progress(&self) -> Vec<Progress> {
+        let mut before = self.clone();
+        before.roll_back();
+        before.progress()
+    }
+
     pub(crate) fn progress(&self) -> Vec<Progress> {
         self.positions
             .iter()
@@ -155,5 +182,43 @@ impl Ledger {
                 next_seq,
             })
             .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn chunk(actor_id: &str, seq: u64) -> Chunk {
+        Chunk {
+            actor_id: actor_id.into(),
+            epoch: 1,
+            seq,
+            episode_id: 0,
+            first_step: 0,
+            steps: 1,
+            ends_episode: false,
+            payload: Vec::new().into(),
+        }
+    }
+
+    #[test]
+    fn what_did_not_become_durable_is_taken_back() {
+        let mut ledger = Ledger::default();
+        ledger.admit(&chunk("a", 0));
+        ledger.keep();
+        let durable = ledger.progress();
+        for changed in [chunk("a", 1), chunk("b", 0), chunk("a", 2)] {
+            assert!(matches!(ledger.admit(&changed), Outcome::Stored { .. }));
+        }
+        ledger.begin("a", 4, 0).unwrap();
+        assert_eq!(ledger.durable_progress(), durable);
+        assert_eq!(ledger.progress().len(), 2, "asking changes nothing");
+        ledger.roll_back();
+        assert_eq!(ledger.progress(), durable);
+        assert_eq!(
+            ledger.admit(&chunk("a", 1)),
+            Outcome::Stored { next_seq: 2 }
+        );
     }
 }

@@ -5,12 +5,12 @@
 
 use std::collections::BTreeMap;
 use std::fs::{self, OpenOptions};
-use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::sync::Arc;
 
 use crate::ReplayError;
+use crate::error::is_full;
 use crate::failpoint;
 use crate::folder::Folder;
 use crate::record::{self, Record, Snapshot};
@@ -245,7 +245,7 @@ impl SegmentLog {
             .sync_all()
             .and_then(|()| failpoint::reach("roll-before-folder-sync"))
             .map_err(|source| match source.kind() {
-                io::ErrorKind::StorageFull => ReplayError::io("sync", &path)(source),
+                kind if is_full(kind) => ReplayError::io("sync", &path)(source),
                 _ => ReplayError::sync(&path)(source),
             })
             .and_then(|()| self.folder.sync());

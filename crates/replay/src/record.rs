@@ -23,6 +23,8 @@ use crate::{LogPosition, Progress, ReplayError};
 
 /// Longest actor id, in bytes.
 pub const MAX_ACTOR_ID_BYTES: usize = 255;
+/// What epochs and sequence numbers stay below. They count microseconds and chunks: nobody comes there by counting.
+const NUMBER_LIMIT: u64 = 1 << 62;
 /// Largest payload of one chunk, in bytes.
 pub const MAX_PAYLOAD_BYTES: usize = 32 << 20;
 
@@ -135,6 +137,7 @@ pub(crate) enum Entry {
 
 /// Refuses what the format or the index cannot hold.
 pub(crate) fn check(chunk: &Chunk) -> Result<(), ReplayError> {
+    check_position(&chunk.actor_id, chunk.epoch, chunk.seq)?;
     let reason = why_not(
         &chunk.actor_id,
         chunk.first_step,
@@ -142,12 +145,36 @@ pub(crate) fn check(chunk: &Chunk) -> Result<(), ReplayError> {
         chunk.payload.len(),
     );
     reason.map_or(Ok(()), |reason| {
-        Err(ReplayError::InvalidChunk {
-            actor_id: chunk.actor_id.chars().take(MAX_ACTOR_ID_BYTES).collect(),
-            seq: chunk.seq,
-            reason,
-        })
+        Err(invalid(&chunk.actor_id, chunk.seq, reason))
     })
+}
+
+/// Refuses an actor's id, an epoch or a sequence number that cannot be stored.
+pub(crate) fn check_position(actor_id: &str, epoch: u64, seq: u64) -> Result<(), ReplayError> {
+    if let Some(reason) = why_no_actor(actor_id) {
+        return Err(invalid(actor_id, seq, reason));
+    }
+    if epoch >= NUMBER_LIMIT || seq >= NUMBER_LIMIT {
+        return Err(invalid(
+            actor_id,
+            seq,
+            "its epoch or its sequence number is beyond all counting",
+        ));
+    }
+    Ok(())
+}
+
+fn invalid(actor_id: &str, seq: u64, reason: &'static str) -> ReplayError {
+    ReplayError::InvalidChunk {
+        actor_id: actor_id.chars().take(MAX_ACTOR_ID_BYTES).collect(),
+        seq,
+        reason,
+    }
+}
+
+fn why_no_actor(actor_id: &str) -> Option<&'static str> {
+    let fits = (1..=MAX_ACTOR_ID_BYTES).contains(&actor_id.len());
+    (!fits).then_some("its actor id must have 1 to 255 bytes")
 }
 
 fn why_not(
@@ -156,8 +183,8 @@ fn why_not(
     steps: u32,
     payload_bytes: usize,
 ) -> Option<&'static str> {
-    if actor_id.is_empty() || actor_id.len() > MAX_ACTOR_ID_BYTES {
-        Some("its actor id must have 1 to 255 bytes")
+    if let Some(reason) = why_no_actor(actor_id) {
+        Some(reason)
     } else if steps == 0 {
         Some("it holds no steps")
     } else if first_step.checked_add(steps).is_none() {

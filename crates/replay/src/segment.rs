@@ -79,14 +79,15 @@ impl ChunkRef {
     /// # Errors
     /// [`ReplayError::Damaged`] where a checksum fails, [`ReplayError::Io`] where the disk does.
     pub fn read(&self) -> Result<Chunk, ReplayError> {
-        let frame = self
-            .read_frame()
-            .map_err(ReplayError::io("read", &self.segment.path))?;
         let damaged = |reason| ReplayError::Damaged {
             path: self.segment.path.clone(),
             offset: self.offset,
             reason,
         };
+        let frame = self.read_frame().map_err(|error| match error.kind() {
+            io::ErrorKind::UnexpectedEof => damaged("its end is missing"),
+            _ => ReplayError::io("read", &self.segment.path)(error),
+        })?;
         record::decode_chunk(&Bytes::from(frame)).map_err(damaged)
     }
 

@@ -6,7 +6,7 @@ use isodream_core::Chunk;
 
 use crate::ledger::{Ledger, Outcome};
 use crate::log::SegmentLog;
-use crate::record::{self, MAX_ACTOR_ID_BYTES, Record, Snapshot};
+use crate::record::{self, Record, Snapshot};
 use crate::{Capacity, Progress, ReplayError, Store, StoreIdentity};
 
 /// Writes to a store and owns its folder's lock. Every method blocks on the disk: give it a thread of its own.
@@ -52,11 +52,21 @@ impl StoreWriter {
     /// than any that this store knows of the actor, and by the machine's clock (microseconds since 1970), so that
     /// epochs of several stores tell the older process too. The same `process` gets the same epoch until another one
     /// comes. [`StoreWriter::begin`] makes it durable.
-    pub fn epoch_for(&mut self, actor_id: &str, process: u64, claimed: u64) -> u64 {
+    ///
+    /// # Errors
+    /// [`ReplayError::InvalidChunk`] for an actor id or an epoch that cannot be stored.
+    pub fn epoch_for(
+        &mut self,
+        actor_id: &str,
+        process: u64,
+        claimed: u64,
+    ) -> Result<u64, ReplayError> {
+        record::check_position(actor_id, claimed, 0)?;
         let now = SystemTime::now().duration_since(UNIX_EPOCH);
         let micros = now.map_or(0, |now| now.as_micros() as u64);
-        self.ledger
-            .epoch_for(actor_id, process, claimed, micros.max(1))
+        Ok(self
+            .ledger
+            .epoch_for(actor_id, process, claimed, micros.max(1)))
     }
 
     /// An actor connects: fences off its older epochs, durably. Returns the sequence number it has to send
@@ -66,22 +76,15 @@ impl StoreWriter {
     /// records, for example to a reset, it moves on with the actor.
     ///
     /// # Errors
-    /// [`ReplayError::Fenced`] for an older epoch, [`ReplayError::InvalidChunk`] for an actor id that cannot
-    /// be stored, else the errors of [`SegmentLog::append`] and [`SegmentLog::sync`].
+    /// [`ReplayError::Fenced`] for an older epoch, [`ReplayError::InvalidChunk`] for an actor id or a number that
+    /// cannot be stored, else the errors of [`SegmentLog::append`] and [`SegmentLog::sync`].
     pub fn begin(
         &mut self,
         actor_id: &str,
         epoch: u64,
         acknowledged_seq: u64,
     ) -> Result<u64, ReplayError> {
-        if actor_id.is_empty() || actor_id.len() > MAX_ACTOR_ID_BYTES {
-            return Err(ReplayError::InvalidChunk {
-                actor_id: actor_id.chars().take(MAX_ACTOR_ID_BYTES).collect(),
-                seq: acknowledged_seq,
-                reason: "its actor id must have 1 to 255 bytes",
-            });
-        }
-        let before = self.ledger.clone();
+        record::check_position(actor_id, epoch, acknowledged_seq)?;
         let (next_seq, is_news) = self.ledger.begin(actor_id, epoch, acknowledged_seq)?;
         if is_news {
             let progress = Progress {
@@ -89,8 +92,9 @@ impl StoreWriter {
                 epoch,
                 next_seq,
             };
-            self.write(&[Record::Progress(progress)], before)?;
+            self.write(&[Record::Progress(progress)])?;
         }
+        self.ledger.keep();
         Ok(next_seq)
     }
 
@@ -100,7 +104,6 @@ impl StoreWriter {
     /// # Errors
     /// Nothing of the group was kept. [`ReplayError::is_fatal`] tells whether the writer is at its end.
     pub fn commit(&mut self, chunks: Vec<Chunk>) -> Result<Vec<Outcome>, ReplayError> {
-        let before = self.ledger.clone();
         let mut outcomes = Vec::with_capacity(chunks.len());
         let mut records = Vec::with_capacity(chunks.len());
         for chunk in chunks {
@@ -116,7 +119,7 @@ impl StoreWriter {
             outcomes.push(outcome);
         }
         if !records.is_empty() {
-            let written = self.write(&records, before);
+            let written = self.write(&records);
             // Also after a failure: a full disk may hold segments that could not be deleted before.
             self.evict();
             written?;
@@ -124,12 +127,12 @@ impl StoreWriter {
         Ok(outcomes)
     }
 
-    /// Writes, syncs and only then indexes; restores the ledger `before` where that fails.
-    fn write(&mut self, records: &[Record], before: Ledger) -> Result<(), ReplayError> {
+    /// Writes, syncs and only then indexes; takes back what the ledger was told where that fails.
+    fn write(&mut self, records: &[Record]) -> Result<(), ReplayError> {
         let inserted_steps = self.store.lock().inserted_steps;
         let snapshot = || Snapshot {
             inserted_steps,
-            progress: before.progress(),
+            progress: self.ledger.durable_progress(),
             ..Snapshot::default()
         };
         let durable = match self.log.append(records, snapshot) {
@@ -139,10 +142,11 @@ impl StoreWriter {
         let places = match durable {
             Ok(places) => places,
             Err(error) => {
-                self.ledger = before;
+                self.ledger.roll_back();
                 return Err(error);
             }
         };
+        self.ledger.keep();
         let chunks = records.iter().filter_map(|record| match record {
             Record::Chunk(chunk) => Some(chunk),
             Record::Snapshot(_) | Record::Progress(_) => None,

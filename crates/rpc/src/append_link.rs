@@ -83,10 +83,12 @@ impl AppendLink {
                 return LinkEnd::Refused(self.state.refused(words(&status)));
             }
             self.state.lost(words(&status));
-            if connected {
+            let lasted = since.elapsed() > RECONNECT_DELAYS.1;
+            // A server that answers and at once fails again, whose disk is broken for example, does not work.
+            if progressed || (connected && lasted) {
                 working_at = Instant::now();
             }
-            if progressed || since.elapsed() > RECONNECT_DELAYS.1 {
+            if progressed || lasted {
                 delays = reconnect_delays();
             }
             tokio::time::sleep(delays.next().unwrap_or_default()).await;

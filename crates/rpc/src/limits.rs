@@ -16,6 +16,9 @@ pub const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 pub const HANDSHAKES_PER_SECOND: u32 = 500;
 /// Open connections of the bearers of one token at most, unless a server is told otherwise.
 pub const MAX_CONNECTIONS_PER_TOKEN: usize = 20_000;
+/// How long a connection may stay open without a call that the server lets in. Health checks are let in by everybody and
+/// do not count.
+pub const STRANGER_LIFETIME: Duration = Duration::from_secs(30);
 /// Calls that one connection may have open: clients here need a handful.
 pub const MAX_STREAMS_PER_CONNECTION: u32 = 256;
 /// Pause between HTTP/2 keepalive pings.

@@ -288,9 +288,13 @@ impl SampleMerge {
             return Ok(());
         };
         server.is_waiting = !reply.waiting.is_empty();
-        for _ in 0..reply.returned_credits {
-            server.granted.pop_back();
-        }
+        let kept = server
+            .granted
+            .len()
+            .checked_sub(reply.returned_credits as usize);
+        server
+            .granted
+            .truncate(kept.ok_or("it gave back more than it was granted")?);
         if reply.chunks.is_empty() {
             return Ok(());
         }

@@ -195,6 +195,20 @@ async fn a_server_that_sends_unasked_is_dropped() {
 }
 
 #[tokio::test]
+async fn a_server_that_gives_back_more_than_it_has_is_dropped() {
+    let mut bench = Bench::new(0);
+    bench.found("a", "store-a", 1).expect("wanted");
+    let (granted, _) = bench.credits("a");
+    let reply = SampleReply {
+        waiting: "the actors are behind".into(),
+        returned_credits: granted + 1,
+        ..SampleReply::default()
+    };
+    bench.merge.happened("a".into(), Event::Reply(reply));
+    assert!(bench.merge.servers.is_empty());
+}
+
+#[tokio::test]
 async fn priorities_go_to_the_store_they_came_from_and_leave_room_for_credits() {
     let mut bench = Bench::new(0);
     bench.found("a", "store-a", 1_000).expect("wanted");

@@ -3,17 +3,19 @@
 use std::time::{Duration, Instant};
 
 use isodream_proto::v1::{
-    AppendRequest, Hello, SampleCredit, SampleHello, SampleRequest, append_request, sample_request,
+    AppendRequest, Hello, SampleCredit, SampleHello, SampleReply, SampleRequest, append_request,
+    sample_request,
 };
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
+use tonic::{Status, Streaming};
 
 use crate::process::{
     DEADLINE, ServerProcess, actor, chunk, free_address, identity, inserted_steps,
 };
 
-/// Sequences that the stopped learner asked for: far more than transport and server hold.
-const CREDITS: u32 = 1_000_000;
+/// Sequences that a stopped learner asked for, as many as a server grants: far more than transport and server hold.
+const CREDITS: u32 = 1 << 16;
 /// What the server may grow by while a learner does not read: the windows of its connection and some more.
 const MEMORY_BYTES: u64 = 96 << 20;
 
@@ -61,6 +63,10 @@ fn half_dead_peers_keep_nobody_out_and_a_stopped_learner_costs_bounded_memory() 
             grown >> 10
         );
         assert!(grown < MEMORY_BYTES, "the server grew by {grown} bytes");
+        for learner in &mut learners {
+            let next = learner.next().await;
+            assert!(next.is_ok(), "the server still sends: {next:?}");
+        }
         drop((peers, learners));
     });
 }
@@ -80,8 +86,23 @@ async fn hanging_actor(address: &str, number: u64) -> impl Sized {
     (requests, append.await.unwrap(), client)
 }
 
-/// A learner that asks for a million sequences and reads none.
-async fn hanging_learner(address: &str) -> impl Sized {
+/// A learner that reads one of very many sequences, and then no more until it is asked.
+struct HangingLearner {
+    replies: Streaming<SampleReply>,
+    /// Keeps the stream open.
+    _requests: mpsc::Sender<SampleRequest>,
+}
+
+impl HangingLearner {
+    async fn next(&mut self) -> Result<SampleReply, Status> {
+        self.replies
+            .message()
+            .await?
+            .ok_or_else(|| Status::cancelled("the stream ended"))
+    }
+}
+
+async fn hanging_learner(address: &str) -> HangingLearner {
     let (requests, outbound) = mpsc::channel(2);
     let hello = SampleHello {
         handshake: Some(identity().handshake()),
@@ -92,7 +113,7 @@ async fn hanging_learner(address: &str) -> impl Sized {
     };
     let credit = SampleCredit {
         sequences: CREDITS,
-        unlimited: false,
+        unlimited: true,
     };
     for kind in [
         sample_request::Kind::Hello(hello),
@@ -103,5 +124,10 @@ async fn hanging_learner(address: &str) -> impl Sized {
     }
     let mut client = isodream_rpc::Dialer::default().replay(address).unwrap();
     let sample = client.sample(ReceiverStream::new(outbound));
-    (requests, sample.await.unwrap(), client)
+    let mut learner = HangingLearner {
+        replies: sample.await.unwrap().into_inner(),
+        _requests: requests,
+    };
+    learner.next().await.unwrap();
+    learner
 }

@@ -137,6 +137,24 @@ fn damage_splits_an_episode_and_no_sequence_crosses_the_hole() {
     assert_eq!(writer.begin("a", 1, 0).unwrap(), 10);
 }
 
+#[test]
+fn a_segment_that_lost_its_end_is_damaged_and_no_disk_that_may_recover() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut writer, store, _) = open(folder.path(), &ALL);
+    store_all(&mut writer, episode(0..9));
+    let place = sampler(&store, 0, 90).draw().unwrap().chunks.remove(8);
+    let segment = fs::OpenOptions::new()
+        .write(true)
+        .open(segments(folder.path()).remove(0))
+        .unwrap();
+    segment.set_len(place.offset() + 10).unwrap();
+    let error = place.read().unwrap_err();
+    assert!(
+        matches!(error, ReplayError::Damaged { .. }) && error.to_string().contains("its end"),
+        "{error}"
+    );
+}
+
 fn check_the_hole(store: &Store) {
     let mut sampler = sampler(store, 5, 20);
     for _ in 0..300 {

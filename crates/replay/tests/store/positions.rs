@@ -96,6 +96,31 @@ fn an_actor_goes_on_where_a_reset_store_knows_less_than_it() {
 }
 
 #[test]
+fn numbers_that_nobody_counts_to_and_endless_names_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut writer, _, _) = open(folder.path(), &ALL);
+    let long = "a".repeat(256);
+    let refusals = [
+        writer.epoch_for(&long, 7, 0).unwrap_err(),
+        writer.epoch_for("a", 7, u64::MAX).unwrap_err(),
+        writer.begin(&long, 1, 0).unwrap_err(),
+        writer.begin("a", u64::MAX, 0).unwrap_err(),
+        writer.begin("a", 1, u64::MAX).unwrap_err(),
+    ];
+    for error in refusals {
+        assert!(matches!(error, ReplayError::InvalidChunk { .. }), "{error}");
+    }
+    let beyond = Chunk {
+        epoch: u64::MAX,
+        ..episode(0..1).remove(0)
+    };
+    let outcomes = writer.commit(vec![beyond]).unwrap();
+    assert!(matches!(&outcomes[0], Outcome::Invalid { reason } if reason.contains("counting")));
+    assert_eq!(writer.epoch_for("a", 7, 5).unwrap(), 5);
+    assert_eq!(writer.begin("a", 5, 3).unwrap(), 3, "nobody is locked out");
+}
+
+#[test]
 fn the_first_identity_is_kept() {
     let folder = tempfile::tempdir().unwrap();
     let identity = |hash: &str| StoreIdentity {

@@ -17,7 +17,7 @@ pub fn remote_address(id: &str) -> Option<&str> {
     id.strip_prefix("grpc://")
 }
 
-/// One environment as `config` describes it.
+/// One environment as `config` describes it, which of another process also tells the classes of pixels if it can.
 ///
 /// # Errors
 /// As [`open_environments`].
@@ -25,7 +25,11 @@ pub fn open_environment(
     dialer: &Dialer,
     config: &EnvConfig,
 ) -> Result<Box<dyn Environment>, EnvError> {
-    let opened = open_environments(dialer, config, 1)?.pop();
+    let options = RemoteOptions {
+        segmentation: true,
+        ..RemoteOptions::default()
+    };
+    let opened = open(dialer, config, 1, options)?.pop();
     opened.ok_or(EnvError::EmptyVector)
 }
 
@@ -39,11 +43,20 @@ pub fn open_environments(
     config: &EnvConfig,
     count: usize,
 ) -> Result<Vec<Box<dyn Environment>>, EnvError> {
+    open(dialer, config, count, RemoteOptions::default())
+}
+
+fn open(
+    dialer: &Dialer,
+    config: &EnvConfig,
+    count: usize,
+    options: RemoteOptions,
+) -> Result<Vec<Box<dyn Environment>>, EnvError> {
     let Some(address) = remote_address(&config.id) else {
         return (0..count).map(|_| isodream_envs::make(config)).collect();
     };
     let remote = patiently(ENVIRONMENT_PATIENCE, || {
-        RemoteEnvironment::connect_many(dialer, address, count as u32, RemoteOptions::default())
+        RemoteEnvironment::connect_many(dialer, address, count as u32, options)
     })?;
     remote
         .into_iter()

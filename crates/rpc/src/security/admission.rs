@@ -1,4 +1,4 @@
-//! Connections on their way in: paced, and each with a ticket that the guard counts.
+//! Connections on their way in: paced, each with a ticket that the guard counts, and closed if they never take it.
 
 use std::io;
 use std::net::SocketAddr;
@@ -7,12 +7,13 @@ use std::sync::Arc;
 use std::task::{Context, Poll};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::time::{Sleep, sleep};
 use tokio_stream::{Stream, StreamExt};
 use tonic::transport::server::{Connected, TcpConnectInfo};
 
 use super::guard::Ticket;
 use crate::Connection;
-use crate::limits::HANDSHAKES_PER_SECOND;
+use crate::limits::{HANDSHAKES_PER_SECOND, STRANGER_LIFETIME};
 
 /// `incoming` at most [`HANDSHAKES_PER_SECOND`] times per second: what comes faster waits in the kernel's queue,
 /// so that a crowd that returns at once cannot keep a server busy with handshakes alone.
@@ -21,12 +22,7 @@ pub(crate) fn admit<C: Connection>(
 ) -> impl Stream<Item = io::Result<Admitted<C>>> {
     let pause = std::time::Duration::from_secs(1) / HANDSHAKES_PER_SECOND;
     incoming
-        .map(|accepted| {
-            accepted.map(|connection| Admitted {
-                connection,
-                ticket: Arc::default(),
-            })
-        })
+        .map(|accepted| accepted.map(Admitted::new))
         .throttle(pause)
 }
 
@@ -34,6 +30,27 @@ pub(crate) fn admit<C: Connection>(
 pub(crate) struct Admitted<C> {
     connection: C,
     ticket: Arc<Ticket>,
+    /// When a stranger has to go; none once it is known.
+    stranger_until: Option<Pin<Box<Sleep>>>,
+}
+
+impl<C> Admitted<C> {
+    fn new(connection: C) -> Self {
+        Self {
+            connection,
+            ticket: Arc::default(),
+            stranger_until: Some(Box::pin(sleep(STRANGER_LIFETIME))),
+        }
+    }
+
+    /// Whether nothing was let in for too long; else the task is woken when it would be.
+    fn is_overdue(&mut self, context: &mut Context<'_>) -> bool {
+        if self.ticket.is_taken() {
+            self.stranger_until = None;
+        }
+        let until = self.stranger_until.as_mut();
+        until.is_some_and(|until| until.as_mut().poll(context).is_ready())
+    }
 }
 
 /// What a service can ask of the connection that a request came by.
@@ -67,12 +84,16 @@ impl<C: Connection> Connected for Admitted<C> {
     }
 }
 
-impl<C: Connection> AsyncRead for Admitted<C> {
+impl<C: AsyncRead + Unpin> AsyncRead for Admitted<C> {
     fn poll_read(
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
+        if self.is_overdue(context) {
+            let words = "no call came on it that this server lets in";
+            return Poll::Ready(Err(io::Error::new(io::ErrorKind::TimedOut, words)));
+        }
         Pin::new(&mut self.connection).poll_read(context, buffer)
     }
 }
@@ -104,5 +125,33 @@ impl<C: Connection> AsyncWrite for Admitted<C> {
 
     fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
         Pin::new(&mut self.connection).poll_shutdown(context)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
+
+    use super::*;
+    use crate::GuardLayer;
+
+    #[tokio::test(start_paused = true)]
+    async fn a_stranger_is_sent_away_and_who_is_known_stays() {
+        let (mut _near, far) = duplex(64);
+        let begun = tokio::time::Instant::now();
+        let error = Admitted::new(far).read_u8().await.unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::TimedOut);
+        assert_eq!(begun.elapsed().as_secs(), STRANGER_LIFETIME.as_secs());
+
+        let (mut near, far) = duplex(64);
+        let mut known: Admitted<DuplexStream> = Admitted::new(far);
+        GuardLayer::new(None, 1).let_in(&known.ticket);
+        let later = async {
+            sleep(10 * STRANGER_LIFETIME).await;
+            near.write_u8(7).await
+        };
+        let (read, written) = tokio::join!(known.read_u8(), later);
+        written.unwrap();
+        assert_eq!(read.unwrap(), 7);
     }
 }

@@ -39,6 +39,12 @@ impl GuardLayer {
             open: Arc::default(),
         }))
     }
+
+    /// As a first call that is allowed does.
+    #[cfg(test)]
+    pub(super) fn let_in(&self, ticket: &Ticket) {
+        ticket.take(&self.0, None).expect("there is room");
+    }
 }
 
 impl<S> Layer<S> for GuardLayer {
@@ -147,6 +153,11 @@ struct Place {
 }
 
 impl Ticket {
+    /// Whether a call was let in.
+    pub(super) fn is_taken(&self) -> bool {
+        self.0.get().is_some()
+    }
+
     fn take(&self, rules: &Rules, grant: Option<Grant>) -> Result<(), Status> {
         if let Some(place) = self.0.get() {
             if place.grant == grant {
