@@ -37,9 +37,22 @@ fn an_experiment_is_run_once_and_reported_beside_the_paper() -> Result<()> {
     ensure!(again.status.success(), "{words}");
     ensure!(words.matches("was made before").count() == 2, "{words}");
 
+    let made = folder.path().join("driving/smoke");
+    let config = made.join("iso_dream_pp/seed-0/config.toml");
+    let ours = std::fs::read_to_string(&config)?;
+    std::fs::write(&config, ours.replace("batch_size = 4", "batch_size = 5"))?;
+    for command in ["run", "report"] {
+        let refused = experiment(command)?;
+        let words = String::from_utf8_lossy(&refused.stderr).into_owned();
+        ensure!(
+            !refused.status.success() && words.contains("seed-0 was made with other settings"),
+            "{words}"
+        );
+    }
+    std::fs::write(&config, ours)?;
+
     let report = experiment("report")?;
     ensure!(report.status.success(), "{report:?}");
-    let made = folder.path().join("driving/smoke");
     let markdown = std::fs::read_to_string(made.join("report.md"))?;
     ensure!(
         markdown.contains("| Iso-Dream++ | 1 | ") && markdown.contains(" | about 60 |"),
@@ -63,6 +76,14 @@ fn unknown_names_are_refused_with_those_that_there_are() -> Result<()> {
         (
             &["experiment", "run", "driving", "--methods", "x"],
             "--methods x: known are iso_dream_pp, single_branch",
+        ),
+        (
+            &["experiment", "run", "driving", "--seeds", "5"],
+            "--seeds 5: this experiment has 1 to 3",
+        ),
+        (
+            &["experiment", "run", "driving", "--seeds", "0"],
+            "--seeds 0: this experiment has 1 to 3",
         ),
     ] {
         let output = isodream(args)?;

@@ -81,6 +81,33 @@ fn an_interrupted_run_stops_in_ten_seconds_and_resumes_to_its_end() -> Result<()
         "more updates than before"
     );
 
+    let config = Path::new(&run_dir).join("config.toml");
+    let ours = std::fs::read_to_string(&config)?;
+    let output = isodream(&[
+        "learner",
+        "--preset",
+        "debug",
+        "--set",
+        "env.vehicles=7",
+        "--set",
+        "model.deter=24",
+        "--run-dir",
+        &run_dir,
+        "--replay",
+        "127.0.0.1:1",
+        "--listen",
+        "127.0.0.1:0",
+    ])?;
+    let words = String::from_utf8_lossy(&output.stderr);
+    ensure!(
+        !output.status.success() && words.contains("choose another --run-dir"),
+        "{words}"
+    );
+    ensure!(
+        std::fs::read_to_string(&config)? == ours,
+        "a refused learner changed the run's configuration"
+    );
+
     let output = isodream(&[
         "eval",
         "--checkpoint",
@@ -163,10 +190,44 @@ fn a_killed_supervisor_leaves_no_orphans() -> Result<()> {
         &learner,
     ])?;
     until("the learner is up", LATER, || learner_status(&learner))?;
+    let config = folder.path().join("run/config.toml");
+    let ours = std::fs::read_to_string(&config)?;
+    let second = isodream(&[
+        "train",
+        "--run-dir",
+        &run_dir,
+        "--preset",
+        "debug",
+        "--set",
+        "seed=5",
+    ])?;
+    let words = String::from_utf8_lossy(&second.stderr);
+    ensure!(
+        !second.status.success() && words.contains("is in use by another train"),
+        "{words}"
+    );
+    ensure!(
+        std::fs::read_to_string(&config)? == ours,
+        "roles that are restarted would run with other settings"
+    );
     let children = train.children()?;
     ensure!(!children.is_empty());
     train.kill()?;
     until("all roles are gone", Duration::from_secs(20), || {
         Ok((!children.iter().any(|&child| alive(child))).then_some(()))
     })
+}
+
+#[test]
+fn a_run_whose_time_is_up_before_its_first_update_ends_well() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let run_dir = folder.path().join("run").display().to_string();
+    let train = ["train", "--preset", "debug", "--run-dir", &run_dir];
+    let output = isodream(&[&train[..], &["--minutes", "0.0001"]].concat())?;
+    let words = String::from_utf8_lossy(&output.stderr);
+    ensure!(
+        output.status.success() && words.contains("nothing was trained yet"),
+        "{words}"
+    );
+    Ok(())
 }

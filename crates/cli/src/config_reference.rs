@@ -25,7 +25,6 @@ pub(crate) fn run(command: &ConfigCommand) -> anyhow::Result<()> {
         ConfigCommand::Show(args) => print(args.load()?.to_toml().trim_end()),
         ConfigCommand::Reference => print(reference().trim_end()),
     }
-    Ok(())
 }
 
 const HEAD: &str = "\

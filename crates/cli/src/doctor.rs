@@ -85,9 +85,9 @@ pub(crate) fn run(args: &DoctorArgs) -> anyhow::Result<()> {
                 ("BAD ", words, Some(cure))
             }
         };
-        print(&format!("{mark}  {thing:<11} {words}"));
+        print(&format!("{mark}  {thing:<11} {words}"))?;
         if let Some(cure) = cure {
-            print(&format!("      {:<11} {cure}", ""));
+            print(&format!("      {:<11} {cure}", ""))?;
         }
     }
     if bad > 0 {

@@ -15,7 +15,7 @@ use isodream_model::agent::Agent;
 use isodream_model::batch::StagedSteps;
 use isodream_model::open_loop::{OpenLoop, open_loop};
 use isodream_rpc::Role;
-use isodream_telemetry::write_mp4;
+use isodream_telemetry::{write_mp4, write_whole};
 use serde::Serialize;
 use tch::{Device, Kind, Tensor};
 
@@ -63,10 +63,11 @@ struct MaskRatio {
 #[derive(Debug, Serialize)]
 struct Report {
     sequences: usize,
-    /// Latents from observations throughout.
-    reconstruction: Separation,
+    /// Latents from observations throughout; none where the environment shows no vehicles, or does not tell which
+    /// pixels they are.
+    reconstruction: Option<Separation>,
     /// Latents from observations for the context, then from actions alone.
-    open_loop: Separation,
+    open_loop: Option<Separation>,
     /// Mean absolute pixel error of the open-loop prediction, in 1/255.
     open_loop_error: f64,
 }
@@ -105,7 +106,10 @@ pub(crate) fn run(args: &ImagineArgs) -> anyhow::Result<()> {
     let side = config.env.image_size as i64;
     let batch =
         StagedSteps::new(&sequences, config.env.image_size, Device::Cpu).to_batch(Device::Cpu);
-    let truth = Tensor::from_slice(&classes).view([-1, 1, side, side]);
+    let truth = vehicles(&classes, side);
+    if truth.is_none() {
+        tracing::warn!("the environment tells of no vehicles, so that no separation is measured");
+    }
     let reconstructed = open_loop(&agent.world, &batch, LENGTH as i64);
     let predicted = open_loop(&agent.world, &batch, CONTEXT);
     let error = (&predicted.composition.image - batch.images.flatten(0, 1))
@@ -113,8 +117,10 @@ pub(crate) fn run(args: &ImagineArgs) -> anyhow::Result<()> {
         .mean(Kind::Float);
     let report = Report {
         sequences: sequences.len(),
-        reconstruction: separation(&reconstructed, &truth),
-        open_loop: separation(&predicted, &truth),
+        reconstruction: truth
+            .as_ref()
+            .map(|truth| separation(&reconstructed, truth)),
+        open_loop: truth.as_ref().map(|truth| separation(&predicted, truth)),
         open_loop_error: error.double_value(&[]) * 255.0,
     };
 
@@ -124,11 +130,9 @@ pub(crate) fn run(args: &ImagineArgs) -> anyhow::Result<()> {
     panel.still().save_png(&args.out.join("open_loop.png"))?;
     write_mp4(&args.out.join("open_loop.mp4"), panel.video(), Panel::FPS)?;
     let text = serde_json::to_string_pretty(&report)?;
-    std::fs::write(args.out.join("separation.json"), &text)
-        .with_context(|| format!("cannot write into {}", args.out.display()))?;
-    print(&text);
+    write_whole(&args.out.join("separation.json"), text.as_bytes())?;
     tracing::info!(folder = %args.out.display(), "wrote open_loop.png, open_loop.mp4 and separation.json");
-    Ok(())
+    print(&text)
 }
 
 /// The middle of an episode, where traffic is under way.
@@ -144,14 +148,21 @@ fn window(recording: &Recording) -> Option<(Steps, Vec<u8>)> {
     ))
 }
 
-fn separation(prediction: &OpenLoop, classes: &Tensor) -> Separation {
-    let vehicle = classes.eq(i64::from(class::VEHICLE)).to_kind(Kind::Float);
-    let other: Tensor = 1.0 - &vehicle;
+/// 1 where a vehicle is, `[frames, 1, side, side]`; none where there is no vehicle in any frame, or no class of any pixel.
+fn vehicles(classes: &[u8], side: i64) -> Option<Tensor> {
+    classes.contains(&class::VEHICLE).then(|| {
+        let classes = Tensor::from_slice(classes).view([-1, 1, side, side]);
+        classes.eq(i64::from(class::VEHICLE)).to_kind(Kind::Float)
+    })
+}
+
+fn separation(prediction: &OpenLoop, vehicle: &Tensor) -> Separation {
+    let other: Tensor = 1.0 - vehicle;
     let mean_over = |mask: &Tensor, area: &Tensor| {
         ((mask * area).sum(Kind::Double) / area.sum(Kind::Double)).double_value(&[])
     };
     let ratio = |mask: &Tensor| {
-        let (inside, outside) = (mean_over(mask, &vehicle), mean_over(mask, &other));
+        let (inside, outside) = (mean_over(mask, vehicle), mean_over(mask, &other));
         MaskRatio {
             inside,
             outside,
@@ -162,5 +173,20 @@ fn separation(prediction: &OpenLoop, classes: &Tensor) -> Separation {
         vehicle_share: vehicle.mean(Kind::Double).double_value(&[]),
         controllable: ratio(&prediction.composition.controllable.mask),
         noncontrollable: ratio(&prediction.composition.noncontrollable.mask),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn vehicles_are_where_the_environment_says_and_nowhere_else() {
+        assert!(vehicles(&[], 2).is_none(), "it tells nothing");
+        assert!(vehicles(&[0, 1, 0, 1], 2).is_none(), "there is none");
+        let vehicles = vehicles(&[0, class::VEHICLE, 0, 1], 2).unwrap();
+        assert_eq!(vehicles.size(), [1, 1, 2, 2]);
+        let values = Vec::<f32>::try_from(vehicles.flatten(0, -1)).unwrap();
+        assert_eq!(values, [0.0, 1.0, 0.0, 0.0]);
     }
 }

@@ -1,19 +1,29 @@
 //! What commands print.
 
-use std::io::Write as _;
+use std::io::{ErrorKind, Write as _};
 
+use anyhow::Context as _;
 use serde::Serialize;
 
 /// The one place where results go to standard output; logs and progress go to standard error. A reader that has read
 /// enough, such as `head`, may have closed it.
-pub(crate) fn print(text: &str) {
-    let _ = writeln!(std::io::stdout(), "{text}");
+///
+/// # Errors
+/// Where standard output is a file that takes no more.
+pub(crate) fn print(text: &str) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    match writeln!(out, "{text}").and_then(|()| out.flush()) {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(error).context("cannot write the result to standard output")
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Prints a result for scripts or for people.
 ///
 /// # Errors
-/// Where the result has no JSON form.
+/// Where the result has no JSON form, or cannot be written.
 pub(crate) fn print_result<T: Serialize>(
     result: &T,
     json: bool,
@@ -24,6 +34,5 @@ pub(crate) fn print_result<T: Serialize>(
     } else {
         table(result)
     };
-    print(&text);
-    Ok(())
+    print(&text)
 }

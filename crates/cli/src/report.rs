@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
 use clap::Args;
+use isodream_core::Config;
 
 use crate::chart::{Line, draw};
 
@@ -27,7 +28,7 @@ pub(crate) struct ReportArgs {
     level: Vec<String>,
 }
 
-/// One run's values over environment frames; values at the same frames are averaged.
+/// One run's values over environment frames; values at the same frames, and those of one evaluation, are averaged.
 pub(crate) struct Curve {
     name: String,
     pub(crate) points: Vec<(f64, f64)>,
@@ -60,6 +61,16 @@ pub(crate) fn run(args: &ReportArgs) -> anyhow::Result<()> {
     draw(&args.out, &label, &lines, &levels)
 }
 
+/// Frames up to which values are of one point: the episodes of an evaluation arrive one by one.
+fn distance(run: &Path, metric: &str) -> anyhow::Result<f64> {
+    let config = run.join("config.toml");
+    if !metric.starts_with("eval/") || !config.exists() {
+        return Ok(0.0);
+    }
+    let interval = Config::from_file(&config)?.actor.evaluate_interval_frames;
+    Ok(interval as f64 / 2.0)
+}
+
 fn level(text: &str) -> anyhow::Result<(String, f64)> {
     let parsed = text
         .split_once('=')
@@ -74,17 +85,26 @@ impl Curve {
         let path = run.join("metrics.jsonl");
         let text = std::fs::read_to_string(&path)
             .with_context(|| format!("cannot read {}", path.display()))?;
+        let apart = distance(run, metric)?;
         let mut points: Vec<(f64, f64, f64)> = Vec::new();
-        for line in text.lines() {
-            let line: serde_json::Value = serde_json::from_str(line)
-                .with_context(|| format!("{} has a damaged line", path.display()))?;
+        // A run that is killed, or is writing, may end in half a line.
+        for (index, line) in text.split_inclusive('\n').enumerate() {
+            if !line.ends_with('\n') {
+                break;
+            }
+            let line: serde_json::Value = serde_json::from_str(line).with_context(|| {
+                format!(
+                    "line {} of {} is damaged; remove it",
+                    index + 1,
+                    path.display()
+                )
+            })?;
             let (Some(frames), Some(value)) = (line["frames"].as_f64(), line[metric].as_f64())
             else {
                 continue;
             };
             match points.last_mut() {
-                // Episodes of one evaluation arrive one by one, within a few frames of each other.
-                Some((at, sum, count)) if frames - *at < 1_000.0 => {
+                Some((at, sum, count)) if (frames - *at).abs() <= apart => {
                     *sum += value;
                     *count += 1.0;
                 }
@@ -129,6 +149,32 @@ impl Curve {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn episodes_of_an_evaluation_are_one_point_and_half_a_line_is_none() {
+        let run = tempfile::tempdir().unwrap();
+        let lines = [
+            (4_000, "eval/score", 10.0),
+            (4_010, "train/loss/model", 3.0),
+            (4_020, "train/loss/model", 1.0),
+            (4_900, "eval/score", 20.0),
+            (8_000, "eval/score", 60.0),
+        ]
+        .map(|(frames, name, value)| format!("{{\"frames\":{frames},\"{name}\":{value}}}\n"));
+        let text = format!("{}{{\"frames\":8100,\"ev", lines.concat());
+        std::fs::write(run.path().join("metrics.jsonl"), text).unwrap();
+        let mut config = Config::default();
+        config.actor.evaluate_interval_frames = 4_000;
+        std::fs::write(run.path().join("config.toml"), config.to_toml()).unwrap();
+        let points = |metric| Curve::read(run.path(), metric).unwrap().points;
+        assert_eq!(points("eval/score"), [(4_000.0, 15.0), (8_000.0, 60.0)]);
+        let losses = [(4_010.0, 3.0), (4_020.0, 1.0)];
+        assert_eq!(
+            points("train/loss/model"),
+            losses,
+            "each is a point of its own"
+        );
+    }
 
     #[test]
     fn a_smoothed_value_is_the_mean_of_the_newest_points() {

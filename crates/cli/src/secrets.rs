@@ -82,8 +82,7 @@ pub(crate) fn run(args: &SecretsArgs) -> anyhow::Result<()> {
         "{}: certificates for {} days and tokens; give every role --secrets {0}, and each machine only the files that its roles need",
         dir.display(),
         args.days
-    ));
-    Ok(())
+    ))
 }
 
 fn authority(days: u16) -> anyhow::Result<CertifiedIssuer<'static, KeyPair>> {

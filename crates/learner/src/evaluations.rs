@@ -15,6 +15,16 @@ const COLUMNS: [&str; 6] = [
     "end_reason",
 ];
 
+/// Environments name their measurements as they like: one that is called as a column of every table becomes `env_NAME`,
+/// so that an environment's own `score` never passes for the return.
+pub(crate) fn set_apart(report: &mut v1::EpisodeReport) {
+    for column in COLUMNS {
+        if let Some(value) = report.metrics.remove(column) {
+            report.metrics.insert(format!("env_{column}"), value);
+        }
+    }
+}
+
 /// The table, which begins with the first episode: that tells what the environment measures.
 #[derive(Debug)]
 pub(crate) struct Evaluations {
@@ -53,5 +63,28 @@ impl Evaluations {
         let metrics = report.metrics.iter();
         fields.extend(metrics.map(|(name, value)| (name.as_str(), value.to_string())));
         Ok(log.row(&fields)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_environments_own_score_is_not_the_return() {
+        let run = tempfile::tempdir().unwrap();
+        let mut report = v1::EpisodeReport {
+            score: 4.5,
+            length: 20,
+            metrics: [("score".to_owned(), 9_000.0), ("speed".to_owned(), 3.0)].into(),
+            ..v1::EpisodeReport::default()
+        };
+        set_apart(&mut report);
+        Evaluations::new(run.path()).add(400, &report).unwrap();
+        let table = std::fs::read_to_string(run.path().join("evaluations.csv")).unwrap();
+        assert_eq!(
+            table,
+            "frames,updates,episode_id,score,length,end_reason,env_score,speed\n400,0,0,4.5,20,,9000,3\n"
+        );
     }
 }

@@ -30,6 +30,7 @@ use isodream_core::{Config, EnvSpec};
 use isodream_rpc::{Dialer, Door};
 use tch::Device;
 
+pub use run_lock::lock;
 pub use train::{Finished, run};
 
 /// Settings of a learner.

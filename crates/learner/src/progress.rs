@@ -6,6 +6,8 @@ use std::time::Instant;
 
 use isodream_proto::v1;
 
+use crate::evaluations::set_apart;
+
 /// Episodes whose mean is shown as the collecting score.
 const SCORE_WINDOW: usize = 10;
 
@@ -95,7 +97,8 @@ impl Progress {
     }
 
     /// Takes in an actor's report.
-    pub(crate) fn report(&self, report: v1::EpisodeReport) {
+    pub(crate) fn report(&self, mut report: v1::EpisodeReport) {
+        set_apart(&mut report);
         let mut inner = self.lock();
         let action_repeat = inner.action_repeat;
         let actor = inner

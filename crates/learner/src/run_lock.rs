@@ -1,4 +1,4 @@
-//! One learner per run directory, and an epoch for each start.
+//! One of a kind per run directory, and an epoch for each start of a learner.
 
 use std::fs::{File, TryLockError};
 use std::io::{Read, Seek, Write};
@@ -10,11 +10,23 @@ use anyhow::{Context, bail};
 /// Makes the run directory this learner's alone for as long as the returned file is open: two of them would
 /// overwrite each other's checkpoints and metrics. With it comes the learner's epoch, greater than at any earlier
 /// start in this run directory.
-pub(crate) fn lock(run_dir: &Path) -> anyhow::Result<(File, u64)> {
-    let path = run_dir.join(".learner.lock");
+pub(crate) fn lock_for_learner(run_dir: &Path) -> anyhow::Result<(File, u64)> {
+    let mut file = lock(run_dir, "learner")?;
+    let epoch = next_epoch(&mut file)
+        .with_context(|| format!("cannot write the learner's lock in {}", run_dir.display()))?;
+    Ok((file, epoch))
+}
+
+/// Makes the run directory, where there is none, and lets no other process take the part of `who` in it for as long as
+/// the returned file is open.
+///
+/// # Errors
+/// Where somebody has it, or the folder cannot be written.
+pub fn lock(run_dir: &Path, who: &str) -> anyhow::Result<File> {
+    let path = run_dir.join(format!(".{who}.lock"));
     std::fs::create_dir_all(run_dir)
         .with_context(|| format!("cannot create {}", run_dir.display()))?;
-    let mut file = File::options()
+    let file = File::options()
         .read(true)
         .write(true)
         .create(true)
@@ -22,18 +34,15 @@ pub(crate) fn lock(run_dir: &Path) -> anyhow::Result<(File, u64)> {
         .open(&path)
         .with_context(|| format!("cannot create {}", path.display()))?;
     match file.try_lock() {
-        Ok(()) => {}
+        Ok(()) => Ok(file),
         Err(TryLockError::WouldBlock) => bail!(
-            "{} is in use by another learner; stop it or choose another --run-dir",
+            "{} is in use by another {who}; stop it or choose another --run-dir",
             run_dir.display()
         ),
         Err(TryLockError::Error(error)) => {
-            return Err(error).with_context(|| format!("cannot lock {}", path.display()));
+            Err(error).with_context(|| format!("cannot lock {}", path.display()))
         }
     }
-    let epoch =
-        next_epoch(&mut file).with_context(|| format!("cannot write {}", path.display()))?;
-    Ok((file, epoch))
 }
 
 /// The epoch of this start, which takes the place of the one before in `file`: milliseconds since 1970, or more where

@@ -13,7 +13,7 @@ use isodream_rpc::{
     Policy, PolicyPublisher, PolicyService, SampleClient, SampleOptions, SampleWatch,
 };
 use isodream_telemetry::media::MediaFolder;
-use isodream_telemetry::{MetricsWriter, ResumePoint};
+use isodream_telemetry::{MetricsWriter, ResumePoint, write_whole};
 use tokio_util::sync::CancellationToken;
 
 use crate::LearnerOptions;
@@ -22,7 +22,7 @@ use crate::checkpoint::{Checkpoint, Counters};
 use crate::evaluations::Evaluations;
 use crate::media::{Drawn, Media};
 use crate::progress::Progress;
-use crate::run_lock::lock;
+use crate::run_lock::lock_for_learner;
 use crate::sampling::{BatchShape, BatchStream, StagedBatch};
 use crate::saver::Saver;
 use crate::service::Desk;
@@ -56,13 +56,14 @@ pub enum Finished {
 /// not finite. The last good checkpoint is kept.
 pub async fn run(options: LearnerOptions, shutdown: CancellationToken) -> anyhow::Result<Finished> {
     let listener = isodream_rpc::bind(&options.listen, &options.door).await?;
-    let (run_lock, learner_epoch) = lock(&options.run_dir)?;
+    let (run_lock, learner_epoch) = lock_for_learner(&options.run_dir)?;
     let config = &options.config;
-    // What reads a run directory, `isodream dashboard` for one, knows a run by it.
-    let config_path = options.run_dir.join("config.toml");
-    std::fs::write(&config_path, config.to_toml())
-        .with_context(|| format!("cannot write {}", config_path.display()))?;
     let beginning = Beginning::find(&options)?;
+    // What reads a run directory, `isodream dashboard` for one, knows a run by it.
+    write_whole(
+        &options.run_dir.join("config.toml"),
+        config.to_toml().as_bytes(),
+    )?;
     let counters = beginning.counters();
     let total = config.total_updates();
     let patience = Duration::from_secs_f64(config.learner.stop_secs);
@@ -218,12 +219,12 @@ impl Training {
         }
         let resumed = beginning.is_resumed();
         let mut agent = beginning.agent(&self.options)?;
-        let resume = resumed.then_some(ResumePoint {
+        let resume = ResumePoint {
             frames: self.counters.env_frames,
             counter: UPDATES,
             count: self.counters.updates as f64,
-        });
-        let mut metrics = MetricsWriter::open(&self.options.run_dir, resume.as_ref())?;
+        };
+        let mut metrics = MetricsWriter::open(&self.options.run_dir, &resume)?;
         let total = config.total_updates();
         let pretrain = config.learner.pretrain_updates;
         if agent.updates() >= pretrain && resumed {

@@ -33,7 +33,7 @@ pub(crate) struct Line {
 impl JsonlWriter {
     /// Opens `path` for appending, after [`clean_up`] has removed what a killed run left behind. Returns the
     /// lines beyond `resume` that stay.
-    pub(crate) fn open(path: &Path, resume: Option<&ResumePoint<'_>>) -> Result<(Self, Vec<Line>)> {
+    pub(crate) fn open(path: &Path, resume: &ResumePoint<'_>) -> Result<(Self, Vec<Line>)> {
         let later = clean_up(path, resume).map_err(Error::io("clean up", path))?;
         let file = OpenOptions::new()
             .create(true)
@@ -101,17 +101,15 @@ fn write_line<N: AsRef<str>>(
 
 /// Removes every line that is not whole, and those that a run which goes back to `resume` writes again.
 /// Returns the later lines that stay.
-fn clean_up(path: &Path, resume: Option<&ResumePoint<'_>>) -> io::Result<Vec<Line>> {
+fn clean_up(path: &Path, resume: &ResumePoint<'_>) -> io::Result<Vec<Line>> {
     let source = match File::open(path) {
         Ok(file) => file,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         Err(error) => return Err(error),
     };
     let redone = |line: &Line| {
-        resume.is_some_and(|resume| {
-            let count = line.values.get(resume.counter).copied().flatten();
-            count.is_some_and(|count| count > resume.count)
-        })
+        let count = line.values.get(resume.counter).copied().flatten();
+        count.is_some_and(|count| count > resume.count)
     };
     let mut stay = Vec::new();
     let mut kept_path = path.as_os_str().to_owned();
@@ -127,7 +125,7 @@ fn clean_up(path: &Path, resume: Option<&ResumePoint<'_>>) -> io::Result<Vec<Lin
                     removed += 1;
                 } else {
                     kept.write_all(&line)?;
-                    if resume.is_some_and(|resume| whole.frames > resume.frames) {
+                    if whole.frames > resume.frames {
                         stay.push(whole);
                     }
                 }
@@ -154,6 +152,12 @@ mod tests {
 
     use super::*;
 
+    const BEGINNING: ResumePoint<'static> = ResumePoint {
+        frames: 0,
+        counter: "updates",
+        count: 0.0,
+    };
+
     fn lines(path: &Path) -> Vec<Value> {
         let text = fs::read_to_string(path).unwrap();
         text.lines()
@@ -175,7 +179,7 @@ mod tests {
     fn resuming_removes_torn_lines_and_those_that_will_be_written_again() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("metrics.jsonl");
-        let (mut writer, _) = JsonlWriter::open(&path, None).unwrap();
+        let (mut writer, _) = JsonlWriter::open(&path, &BEGINNING).unwrap();
         for (frames, name, value) in [
             (10, "updates", 1.0),
             (20, "updates", 2.0),
@@ -191,7 +195,7 @@ mod tests {
             counter: "updates",
             count: 2.0,
         };
-        let (mut writer, later) = JsonlWriter::open(&path, Some(&resume)).unwrap();
+        let (mut writer, later) = JsonlWriter::open(&path, &resume).unwrap();
         writer.line(31, 0.5, &[("updates", 3.0)]).unwrap();
         let frames: Vec<_> = lines(&path)
             .iter()
@@ -221,7 +225,7 @@ mod tests {
         let path = dir.path().join("metrics.jsonl");
         let whole = "{\"frames\":1,\"time\":0.0}\n";
         fs::write(&path, format!("{whole}{{\"frames\":2,\"time\":0.0}}")).unwrap();
-        JsonlWriter::open(&path, None).unwrap();
+        JsonlWriter::open(&path, &BEGINNING).unwrap();
         assert_eq!(fs::read_to_string(&path).unwrap(), whole);
     }
 }

@@ -16,6 +16,7 @@ mod tensorboard;
 #[cfg(feature = "opentelemetry")]
 mod traces;
 mod video;
+mod whole;
 
 pub use animation::{Gif, encode_gif, write_gif};
 pub use csv_log::CsvLog;
@@ -25,3 +26,4 @@ pub use metrics::{MetricsWriter, ResumePoint};
 pub use picture::Rgb;
 pub use tensorboard::EventWriter;
 pub use video::{VideoWriter, encode_mp4, write_mp4};
+pub use whole::write_whole;

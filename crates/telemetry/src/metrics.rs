@@ -7,7 +7,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use crate::jsonl::{JsonlWriter, check_name};
 use crate::{Error, EventWriter, Gif, Result, Rgb};
 
-/// The point a run goes back to when it resumes.
+/// The point a run goes back to when it resumes; all of it is 0 where nothing was kept.
 #[derive(Debug, Clone, Copy)]
 pub struct ResumePoint<'a> {
     /// Environment frames at that point.
@@ -36,10 +36,10 @@ impl MetricsWriter {
     ///
     /// # Errors
     /// [`Error::Io`] if the folder or its files cannot be read and written.
-    pub fn open(dir: &Path, resume: Option<&ResumePoint<'_>>) -> Result<Self> {
+    pub fn open(dir: &Path, resume: &ResumePoint<'_>) -> Result<Self> {
         fs::create_dir_all(dir).map_err(Error::io("create", dir))?;
         let (jsonl, later) = JsonlWriter::open(&dir.join("metrics.jsonl"), resume)?;
-        let mut events = EventWriter::create(dir, resume.map(|resume| resume.frames))?;
+        let mut events = EventWriter::create(dir, resume.frames)?;
         for line in later {
             let values: Vec<(String, f64)> = line
                 .values
@@ -103,6 +103,14 @@ pub(crate) fn unix_time_secs() -> f64 {
 mod tests {
     use super::*;
 
+    fn resume(frames: u64, count: f64) -> ResumePoint<'static> {
+        ResumePoint {
+            frames,
+            counter: "train/updates",
+            count,
+        }
+    }
+
     fn event_files(dir: &Path) -> usize {
         let name = |entry: std::io::Result<fs::DirEntry>| {
             entry.unwrap().file_name().into_string().unwrap()
@@ -118,13 +126,9 @@ mod tests {
     fn a_resumed_run_appends_lines_and_starts_a_new_event_file() {
         let dir = tempfile::tempdir().unwrap();
         let run = dir.path().join("run");
-        let resume = ResumePoint {
-            frames: 100,
-            counter: "train/updates",
-            count: 1.0,
-        };
-        for resume in [None, Some(&resume)] {
-            let mut metrics = MetricsWriter::open(&run, resume).unwrap();
+        for (frames, count) in [(0, 0.0), (0, 0.0), (100, 1.0)] {
+            let resume = resume(frames, count);
+            let mut metrics = MetricsWriter::open(&run, &resume).unwrap();
             for (frames, updates) in [(50, 1.0), (150, 2.0)] {
                 metrics
                     .scalars(frames, &[("train/updates", updates)])
@@ -139,15 +143,15 @@ mod tests {
         assert_eq!(
             lines.lines().count(),
             3,
-            "50 of the first life, 50 and 150 of the second:\n{lines}"
+            "50 of the second life, which began anew, 50 and 150 of the third:\n{lines}"
         );
-        assert_eq!(event_files(&run), 2);
+        assert_eq!(event_files(&run), 3);
     }
 
     #[test]
     fn a_reserved_name_is_refused_before_anything_is_written() {
         let dir = tempfile::tempdir().unwrap();
-        let mut metrics = MetricsWriter::open(dir.path(), None).unwrap();
+        let mut metrics = MetricsWriter::open(dir.path(), &resume(0, 0.0)).unwrap();
         let error = metrics
             .scalars(1, &[("a", 1.0), ("time", 2.0)])
             .unwrap_err();

@@ -100,13 +100,12 @@ pub(super) fn run(args: &PlayArgs) -> anyhow::Result<()> {
         outcome.score,
         outcome.length,
         args.out.display()
-    ));
+    ))?;
     let metrics = outcome.metrics.iter();
     let metrics: Vec<_> = metrics
         .map(|(name, value)| format!("{name} {value:.2}"))
         .collect();
-    print(&metrics.join(", "));
-    Ok(())
+    print(&metrics.join(", "))
 }
 
 /// What a file is to hold.

@@ -39,7 +39,7 @@ pub(super) async fn run(args: &ServeArgs) -> anyhow::Result<()> {
     let server = EnvironmentServer::new(environments, available_parallelism()?)?;
     let door = args.door.door()?;
     let listener = isodream_rpc::bind(&args.listen, &door).await?;
-    print(&format!("{} at grpc://{}", args.id, listener.local_addr()?));
+    print(&format!("{} at grpc://{}", args.id, listener.local_addr()?))?;
     server.serve(listener, door, shutdown_on_signal()?).await?;
     Ok(())
 }

@@ -5,6 +5,7 @@
 //! same command goes on with; reporting reads these directories.
 
 mod definition;
+mod evaluation;
 mod plan;
 mod report;
 mod run;
@@ -74,16 +75,15 @@ pub(crate) async fn run(command: ExperimentCommand) -> anyhow::Result<()> {
     match command {
         ExperimentCommand::List => {
             for (name, definition) in definition::all()? {
-                print(&format!("{name:<20} {}", definition.title));
+                print(&format!("{name:<20} {}", definition.title))?;
             }
             Ok(())
         }
         ExperimentCommand::Run(args) => run::run(&args).await,
         ExperimentCommand::Report(args) => {
             let folder = report::report(&args.choice, usize::from(args.smooth))?;
-            print(&format!("{}", folder.join("report.md").display()));
-            print(&format!("{}", folder.join("report.html").display()));
-            Ok(())
+            print(&format!("{}", folder.join("report.md").display()))?;
+            print(&format!("{}", folder.join("report.html").display()))
         }
     }
 }

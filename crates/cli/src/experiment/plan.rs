@@ -2,7 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
+use anyhow::ensure;
+use isodream_core::Config;
+use isodream_core::config::Source;
+
 use super::definition::{Definition, Scale, Variant};
+use super::evaluation::Evaluation;
 
 /// All runs, seed after seed, so that a comparison is whole before the next seed begins.
 #[derive(Debug)]
@@ -75,6 +80,20 @@ impl Plan {
         }
         Ok(Self { runs })
     }
+
+    /// The runs that were made.
+    ///
+    /// # Errors
+    /// Of [`Run::is_made`].
+    pub(super) fn made(&self) -> anyhow::Result<Vec<&Run>> {
+        let mut made = Vec::new();
+        for run in &self.runs {
+            if run.is_made()? {
+                made.push(run);
+            }
+        }
+        Ok(made)
+    }
 }
 
 impl Run {
@@ -87,6 +106,32 @@ impl Run {
     /// What the final comparison writes last: a run that has it was trained.
     pub(super) fn evaluation(&self) -> PathBuf {
         evaluation(&self.dir)
+    }
+
+    /// Whether it was trained and evaluated, as the experiment has it now.
+    ///
+    /// # Errors
+    /// Where it was made with other settings or another number of episodes, or what it left is damaged.
+    pub(super) fn is_made(&self) -> anyhow::Result<bool> {
+        if !self.evaluation().exists() {
+            return Ok(false);
+        }
+        let evaluation = Evaluation::read(&self.evaluation())?;
+        let mut made = Config::from_file(&self.dir.join("config.toml"))?;
+        let mut wanted = Config::load(&Source {
+            preset: Some(self.preset.clone()),
+            file: None,
+            set: self.set.clone(),
+        })?;
+        // A source lies wherever the experiment does.
+        made.learner.initial.clear();
+        wanted.learner.initial.clear();
+        ensure!(
+            made == wanted && evaluation.episodes == self.episodes,
+            "{} was made with other settings than the experiment has now; move the folder away, or choose another --out",
+            self.dir.display()
+        );
+        Ok(true)
     }
 
     /// Whether what it begins with is there.

@@ -27,6 +27,13 @@ pub(super) async fn run(args: &RunArgs) -> anyhow::Result<()> {
     check("--methods", &args.methods, &known)?;
     let known: Vec<&str> = definition.tasks.iter().map(|task| &*task.name).collect();
     check("--tasks", &args.tasks, &known)?;
+    let most = definition.size(args.choice.scale)?.seeds;
+    if let Some(seeds) = args.seeds {
+        ensure!(
+            (1..=most).contains(&seeds),
+            "--seeds {seeds}: this experiment has 1 to {most} at this scale; more are a line `seeds` in a file of one's own"
+        );
+    }
     let folder = args.choice.out.join(&name).join(args.choice.scale.as_str());
     let plan = Plan::new(&definition, args.choice.scale, &folder)?;
     let wanted = |run: &Run| {
@@ -89,7 +96,7 @@ async fn complete(run: &Run, stop: &CancellationToken) -> anyhow::Result<String>
     let dir = run.dir.display().to_string();
     let episodes = run.episodes.to_string();
     let mut made = false;
-    if !run.evaluation().exists() {
+    if !run.is_made()? {
         let mut args = vec!["train", "--preset", &run.preset, "--run-dir", &dir];
         args.extend(["--eval-episodes", &episodes, "--dashboard-listen", "off"]);
         args.extend(settings(&run.set));
@@ -130,20 +137,24 @@ async fn child(
     output: Option<&Path>,
     stop: &CancellationToken,
 ) -> anyhow::Result<()> {
-    let create = |path: &Path| {
-        File::create(path).with_context(|| format!("cannot write {}", path.display()))
-    };
+    let failed = |path: &Path| format!("cannot write {}", path.display());
     let part = output.map(|path| path.with_extension("part"));
     let stdout = match &part {
-        Some(part) => create(part)?.into(),
+        Some(part) => File::create(part).with_context(|| failed(part))?.into(),
         None => Stdio::null(),
     };
+    // What an earlier attempt died of stays.
+    let stderr = File::options()
+        .create(true)
+        .append(true)
+        .open(log)
+        .with_context(|| failed(log))?;
     let program = std::env::current_exe().context("this program has no path")?;
     let mut child = Command::new(program)
         .args(args)
         .stdin(Stdio::null())
         .stdout(stdout)
-        .stderr(create(log)?)
+        .stderr(stderr)
         .kill_on_drop(true)
         .spawn()
         .context("cannot start a run")?;

@@ -16,7 +16,9 @@ use isodream_core::Config;
 use isodream_core::config::EnvConfig;
 use isodream_dashboard::Sources;
 use isodream_envs::{EnvError, make};
+use isodream_learner::checkpoint::Checkpoint;
 use isodream_rpc::{Dialer, Door, Role, environment_spec, remote_address, shutdown_on_signal};
+use isodream_telemetry::write_whole;
 use tokio_util::task::AbortOnDropHandle;
 
 use crate::config_args::ConfigArgs;
@@ -84,11 +86,16 @@ pub(crate) async fn run(args: TrainArgs) -> anyhow::Result<()> {
     let replay = Place::find(&args.replay_listen, &door).await?;
     let learner = Place::find(&args.learner_listen, &door).await?;
     let config_path = args.run_dir.join("config.toml");
+    // A role that is restarted reads the file again: nobody else may change it meanwhile.
+    let _run_lock = isodream_learner::lock(&args.run_dir, "train")?;
     std::fs::create_dir_all(args.run_dir.join("logs"))
-        .and_then(|()| std::fs::write(&config_path, config.to_toml()))
         .with_context(|| format!("cannot write the run directory {}", args.run_dir.display()))?;
+    write_whole(&config_path, config.to_toml().as_bytes())?;
     let shutdown = shutdown_on_signal()?;
-    let mut processes = Processes::new(&args.run_dir);
+    let mut processes = Processes::new(
+        &args.run_dir,
+        Duration::from_secs_f64(config.learner.stop_secs),
+    );
     let path = |path: &Path| path.display().to_string();
     let with_config = |role: &str, more: &[&str]| {
         let mut all = vec![
@@ -195,16 +202,18 @@ pub(crate) async fn run(args: TrainArgs) -> anyhow::Result<()> {
     if shutdown.is_cancelled() || args.eval_episodes == 0 {
         return Ok(());
     }
+    if Checkpoint::load_newest(&args.run_dir.join("checkpoints"))?.is_none() {
+        eprintln!("nothing was trained yet, so that there is nothing to evaluate");
+        return Ok(());
+    }
     eprintln!("evaluating {} episodes per policy ...", args.eval_episodes);
     let go_on = || !shutdown.is_cancelled();
     let evaluation = tokio::task::block_in_place(|| {
         evaluate(&dialer, &args.run_dir, &[], args.eval_episodes, &go_on)
     })?;
     let file = args.run_dir.join("evaluation.json");
-    std::fs::write(&file, serde_json::to_string_pretty(&evaluation)?)
-        .with_context(|| format!("cannot write {}", file.display()))?;
-    print(&evaluation.table());
-    Ok(())
+    write_whole(&file, &serde_json::to_vec_pretty(&evaluation)?)?;
+    print(&evaluation.table())
 }
 
 /// The run's configuration: what is asked for, or what the run directory already has.

@@ -38,9 +38,9 @@ pub enum BackgroundOrder {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NoiseTarget {
-    /// All of them.
+    /// All pixels.
     Image,
-    /// Those of the background, where the environment knows which they are.
+    /// The pixels of the background, where the environment knows which they are.
     Background,
 }
 
@@ -66,7 +66,7 @@ pub struct EnvConfig {
     /// Which of the videos an episode shows.
     pub background_order: BackgroundOrder,
     /// Standard deviation of Gaussian noise on every channel, of 255; 0 for none. The paper tests with noise and names
-    /// neither strength nor target: 25 on the whole image is clearly visible.
+    /// neither strength nor target: 25 is clearly visible.
     pub noise_std: f32,
     /// Where the noise is.
     pub noise_target: NoiseTarget,

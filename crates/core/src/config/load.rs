@@ -224,7 +224,7 @@ fn merge(into: &mut Table, from: Table, prefix: &str, origin: &str) -> Result<()
     Ok(())
 }
 
-/// The known key nearest to `key`, by edit distance; a field's own name weighs as much as its full path.
+/// The known key or table nearest to `key`, by edit distance; a field's own name weighs as much as its full path.
 fn nearest(key: &str) -> String {
     let mut known = Vec::new();
     collect_keys(&defaults(), "", &mut known);
@@ -241,10 +241,10 @@ fn nearest(key: &str) -> String {
 fn collect_keys(table: &Table, prefix: &str, into: &mut Vec<String>) {
     for (name, value) in table {
         let key = format!("{prefix}{name}");
-        match value {
-            Value::Table(inner) => collect_keys(inner, &format!("{key}."), into),
-            _ => into.push(key),
+        if let Value::Table(inner) = value {
+            collect_keys(inner, &format!("{key}."), into);
         }
+        into.push(key);
     }
 }
 
@@ -291,6 +291,8 @@ mod tests {
             ("learner.batchsize=3", "learner.batch_size"),
             ("batch_size=3", "learner.batch_size"),
             ("loss.kl_balence=0.5", "loss.kl_balance"),
+            ("behaviour.lambda=1", "behavior"),
+            ("lerner.batch_size=3", "learner"),
         ] {
             let error = load(None, &[given]).expect_err("unknown").to_string();
             assert!(error.contains(&format!("`{near}`")), "{error}");

@@ -105,7 +105,7 @@ pub struct LearnerConfig {
     pub replay_ratio: f64,
     /// Updates between two published policies.
     pub publish_interval: u64,
-    /// Updates between two checkpoints.
+    /// Updates between two checkpoints; where that takes longer than five minutes, there is one every five minutes.
     pub checkpoint_interval: u64,
     /// A run directory or checkpoint whose parameters a new run begins with, for transfer; empty: at random.
     pub initial: String,

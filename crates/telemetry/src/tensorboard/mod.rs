@@ -25,12 +25,12 @@ pub struct EventWriter {
 }
 
 impl EventWriter {
-    /// Creates `events.out.tfevents.<unix>.<host>.<pid>` in `dir`. With `resume_frames` TensorBoard is
-    /// told to forget what earlier files of the folder say about later frames.
+    /// Creates `events.out.tfevents.<unix>.<host>.<pid>` in `dir`. TensorBoard is told to forget what earlier files of
+    /// the folder say about frames after `resume_frames`.
     ///
     /// # Errors
     /// [`Error::Io`].
-    pub fn create(dir: &Path, resume_frames: Option<u64>) -> Result<Self> {
+    pub fn create(dir: &Path, resume_frames: u64) -> Result<Self> {
         let time_secs = unix_time_secs();
         let (file, path) = create_new(dir, time_secs as u64)?;
         let mut writer = Self { file, path };
@@ -39,14 +39,12 @@ impl EventWriter {
             0,
             What::FileVersion(FILE_VERSION.to_owned()),
         ))?;
-        if let Some(frames) = resume_frames {
-            // TensorBoard drops this step too, and the resumed run does not write it again.
-            writer.write(&event(
-                time_secs,
-                frames + 1,
-                What::SessionLog(SessionLog::start()),
-            ))?;
-        }
+        // TensorBoard drops this step too, and the resumed run does not write it again.
+        writer.write(&event(
+            time_secs,
+            resume_frames + 1,
+            What::SessionLog(SessionLog::start()),
+        ))?;
         Ok(writer)
     }
 
@@ -181,7 +179,7 @@ mod tests {
     #[test]
     fn events_read_back_as_written() {
         let dir = tempfile::tempdir().unwrap();
-        let mut writer = EventWriter::create(dir.path(), Some(20)).unwrap();
+        let mut writer = EventWriter::create(dir.path(), 20).unwrap();
         writer
             .scalars(21, 5.0, &[("a", 1.5), ("b", f64::INFINITY)])
             .unwrap();

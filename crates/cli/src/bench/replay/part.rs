@@ -117,9 +117,9 @@ pub(in crate::bench) fn answer<T: Serialize>(
     ready: &impl Serialize,
     mut asked: impl FnMut(&str) -> anyhow::Result<T>,
 ) -> anyhow::Result<()> {
-    print(&serde_json::to_string(ready)?);
+    print(&serde_json::to_string(ready)?)?;
     for line in std::io::stdin().lines() {
-        print(&serde_json::to_string(&asked(line?.trim())?)?);
+        print(&serde_json::to_string(&asked(line?.trim())?)?)?;
     }
     Ok(())
 }

@@ -86,7 +86,7 @@ pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     if args.memory {
         for id in chosen {
             if let Some(mb) = many::measure_mb(&env_config(&id, &args.set)?)? {
-                print(&mb.to_string());
+                print(&mb.to_string())?;
             }
         }
         return Ok(());

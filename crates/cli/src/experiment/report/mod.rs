@@ -6,40 +6,24 @@ mod page;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use serde::Deserialize;
+use isodream_telemetry::write_whole;
 
 use self::figure::summary;
 use self::page::{Page, Section, Table};
 use super::Choice;
 use super::definition::{Definition, Method, Variant};
+use super::evaluation::Evaluation;
 use super::plan::{Plan, Run};
 use crate::chart::{Line, draw};
 use crate::report::Curve;
-
-/// What `isodream eval` prints, as far as it is told here.
-#[derive(Debug, Deserialize)]
-struct Evaluation {
-    env_frames: u64,
-    updates: u64,
-    policies: std::collections::BTreeMap<String, Scores>,
-}
-
-#[derive(Debug, Deserialize)]
-struct Scores {
-    return_mean: f64,
-}
 
 /// Writes `report.md`, `report.html` and the figures into the experiment's folder, and returns that.
 pub(super) fn report(choice: &Choice, smooth: usize) -> anyhow::Result<PathBuf> {
     let (name, definition) = choice.definition()?;
     let folder = choice.out.join(&name).join(choice.scale.as_str());
     let plan = Plan::new(&definition, choice.scale, &folder)?;
-    let done = plan
-        .runs
-        .iter()
-        .filter(|run| run.evaluation().exists())
-        .count();
-    if done == 0 {
+    let made = plan.made()?;
+    if made.is_empty() {
         bail!(
             "nothing of {name} was run at scale {} in {}; run it first: isodream experiment run {name} --scale {}",
             choice.scale.as_str(),
@@ -50,14 +34,14 @@ pub(super) fn report(choice: &Choice, smooth: usize) -> anyhow::Result<PathBuf> 
     let sections = definition
         .tasks
         .iter()
-        .map(|task| section(&definition, &plan, task, &folder, smooth))
+        .map(|task| section(&definition, &made, task, &folder, smooth))
         .collect::<anyhow::Result<_>>()?;
     let page = Page {
         title: definition.title.clone(),
         about: definition.about.clone(),
         facts: vec![
             format!("In the paper: {}.", definition.source),
-            scale_in_words(&plan, done, choice)?,
+            scale_in_words(&plan, &made, choice)?,
             format!(
                 "Made by: isodream experiment run {name} --scale {0}; isodream experiment report {name} --scale {0}",
                 choice.scale.as_str()
@@ -65,17 +49,17 @@ pub(super) fn report(choice: &Choice, smooth: usize) -> anyhow::Result<PathBuf> 
         ],
         sections,
     };
-    write(&folder.join("report.md"), &page.markdown())?;
-    write(&folder.join("report.html"), &page.html())?;
+    write_whole(&folder.join("report.md"), page.markdown().as_bytes())?;
+    write_whole(&folder.join("report.html"), page.html().as_bytes())?;
     Ok(folder)
 }
 
 /// How large it was, so that nobody takes it for more than it is.
-fn scale_in_words(plan: &Plan, done: usize, choice: &Choice) -> anyhow::Result<String> {
+fn scale_in_words(plan: &Plan, made: &[&Run], choice: &Choice) -> anyhow::Result<String> {
     let mut frames: Vec<u64> = Vec::new();
     let mut updates: Vec<u64> = Vec::new();
-    for run in plan.runs.iter().filter(|run| run.evaluation().exists()) {
-        let evaluation = read(&run.evaluation())?;
+    for run in made {
+        let evaluation = Evaluation::read(&run.evaluation())?;
         frames.push(evaluation.env_frames);
         updates.push(evaluation.updates);
     }
@@ -87,8 +71,9 @@ fn scale_in_words(plan: &Plan, done: usize, choice: &Choice) -> anyhow::Result<S
         }
     };
     Ok(format!(
-        "Scale {}: {done} of {} runs, each of {} environment frames and {} updates. The paper trains for 500,000 frames at its own sizes.",
+        "Scale {}: {} of {} runs, each of {} environment frames and {} updates. The paper trains for 500,000 frames at its own sizes.",
         choice.scale.as_str(),
+        made.len(),
         plan.runs.len(),
         range(&frames),
         range(&updates)
@@ -97,18 +82,14 @@ fn scale_in_words(plan: &Plan, done: usize, choice: &Choice) -> anyhow::Result<S
 
 fn section(
     definition: &Definition,
-    plan: &Plan,
+    made: &[&Run],
     task: &Variant,
     folder: &Path,
     smooth: usize,
 ) -> anyhow::Result<Section> {
     let runs_of = |method: &Method| -> Vec<&Run> {
         let mine = |run: &&Run| run.task == task.name && run.method == method.name;
-        plan.runs
-            .iter()
-            .filter(mine)
-            .filter(|run| run.evaluation().exists())
-            .collect()
+        made.iter().copied().filter(mine).collect()
     };
     let mut lines: Vec<Line> = Vec::new();
     let mut columns = vec![
@@ -123,9 +104,21 @@ fn section(
     let mut rows = Vec::new();
     for method in &definition.methods {
         let runs = runs_of(method);
+        let curve = |run: &&Run| {
+            let curve = Curve::read(&run.dir, &definition.metric);
+            curve
+                .inspect_err(|error| {
+                    tracing::warn!(
+                        run = run.name(),
+                        error = format!("{error:#}"),
+                        "no curve is drawn"
+                    );
+                })
+                .ok()
+        };
         let curves = runs
             .iter()
-            .filter_map(|run| Curve::read(&run.dir, &definition.metric).ok())
+            .filter_map(curve)
             .map(|curve| curve.smoothed(smooth).points);
         lines.extend(summary(&method.label, &curves.collect::<Vec<_>>()));
         let key = if task.name.is_empty() {
@@ -170,19 +163,10 @@ fn section(
 fn trained(files: impl Iterator<Item = PathBuf>) -> anyhow::Result<Vec<f64>> {
     files
         .map(|path| {
-            let evaluation = read(&path)?;
-            let trained = evaluation.policies.get("trained");
-            let trained =
-                trained.with_context(|| format!("{} has no trained policy", path.display()))?;
-            Ok(trained.return_mean)
+            let trained = Evaluation::read(&path)?.trained();
+            trained.with_context(|| format!("{} has no trained policy", path.display()))
         })
         .collect()
-}
-
-fn read(path: &Path) -> anyhow::Result<Evaluation> {
-    let text = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-    serde_json::from_slice(&text)
-        .with_context(|| format!("{} is damaged; delete it and run again", path.display()))
 }
 
 /// Mean and standard deviation over seeds, as the paper gives them.
@@ -200,10 +184,6 @@ fn spread(values: &[f64]) -> String {
         .map(|value| (value - mean).powi(2))
         .sum::<f64>();
     format!("{mean:.1} ± {:.1}", (square / (count - 1.0)).sqrt())
-}
-
-fn write(path: &Path, text: &str) -> anyhow::Result<()> {
-    std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))
 }
 
 #[cfg(test)]
