@@ -24,7 +24,7 @@ async function ask(path, query = {}) {
 
 const color = (index) => getComputedStyle(document.documentElement).getPropertyValue(`--c${index % COLORS}`).trim();
 const groups = () => [...new Set(state.runs.map((run) => run.group))].sort();
-const chosenRuns = () => state.runs.filter((run) => state.chosen.has(run.id));
+const chosenRuns = () => state.runs.filter((run) => state.chosen?.has(run.id));
 
 function runRow(run) {
   const row = document.createElement("label");
@@ -35,8 +35,7 @@ function runRow(run) {
   box.addEventListener("change", () => {
     if (box.checked) state.chosen.add(run.id);
     else state.chosen.delete(run.id);
-    showRuns();
-    refreshCurves();
+    refreshCurves().catch(() => {});
   });
   swatch.style.background = color(lineIndex(run));
   name.textContent = run.id === "." ? "this run" : run.id;
@@ -58,7 +57,10 @@ function showRuns() {
   byId("runs").replaceChildren(...sorted.map(runRow));
   if (!sorted.length) byId("runs").textContent = "There is no run here yet.";
   const select = byId("shown-run");
-  select.replaceChildren(...sorted.map((run) => new Option(run.id === "." ? "this run" : run.id, run.id, false, run.id === state.shown)));
+  // A list that somebody has open stays as it is, unless it says something else.
+  const same = select.options.length === sorted.length && sorted.every((run, i) => select.options[i].value === run.id);
+  if (!same) select.replaceChildren(...sorted.map((run) => new Option(run.id === "." ? "this run" : run.id, run.id)));
+  select.value = state.shown ?? "";
 }
 
 function metrics() {
@@ -116,7 +118,7 @@ async function refresh() {
   const overview = await ask("runs");
   byId("root").textContent = overview.root;
   state.runs = overview.runs;
-  state.chosen ??= new Set(overview.runs.slice(0, CHOSEN).map((run) => run.id));
+  if (overview.runs.length) state.chosen ??= new Set(overview.runs.slice(0, CHOSEN).map((run) => run.id));
   state.shown = overview.runs.some((run) => run.id === state.shown) ? state.shown : overview.runs[0]?.id ?? null;
   if (!byId("runs").contains(document.activeElement)) showRuns();
   byId("live").hidden = !overview.live;

@@ -78,9 +78,13 @@ class Shelf {
     this.slider.value = index;
     if (key === this.shown) return;
     this.shown = key;
-    const answer = await fetch(this.file(this.frames[index], "json"));
-    if (!answer.ok || this.shown !== key) return;
-    this.show(this, await answer.json(), this.frames[index]);
+    const facts = await fetch(this.file(this.frames[index], "json"))
+      .then((answer) => (answer.ok ? answer.json() : null))
+      .catch(() => null);
+    if (this.shown !== key) return;
+    if (facts) this.show(this, facts, this.frames[index]);
+    // The next round asks again.
+    else this.shown = null;
   }
 }
 

@@ -78,6 +78,13 @@ impl Guard {
         if token.len() < 16 {
             return Err(failed(format!("it has {} characters", token.len())));
         }
+        // It stands in an address and in a cookie as it is.
+        let stays = |c: char| c.is_ascii_alphanumeric() || "-._~+/=".contains(c);
+        if let Some(odd) = token.chars().find(|&c| !stays(c)) {
+            return Err(failed(format!(
+                "it has a {odd:?}, where letters, digits and -._~+/= may be"
+            )));
+        }
         Ok(Self::Token(digest(token)))
     }
 
@@ -106,10 +113,14 @@ pub(crate) async fn check(State(guard): State<Guard>, request: Request, next: Ne
         Guard::Token(_) => {
             let offered = query_token(request.uri().query());
             if let Some(token) = offered.filter(|token| guard.knows(token)) {
-                return welcome(&token, request.uri().path());
+                return welcome(
+                    &cookie_name(request.headers()),
+                    &token,
+                    request.uri().path(),
+                );
             }
-            let carried = cookie(request.headers()).or_else(|| bearer(request.headers()));
-            if !carried.is_some_and(|token| guard.knows(token)) {
+            let carried = [cookie(request.headers()), bearer(request.headers())];
+            if !carried.iter().flatten().any(|token| guard.knows(token)) {
                 return refused(
                     StatusCode::UNAUTHORIZED,
                     "open this dashboard once with ?token=TOKEN, the line in its token file",
@@ -121,18 +132,32 @@ pub(crate) async fn check(State(guard): State<Guard>, request: Request, next: Ne
 }
 
 /// Keeps the token in a cookie and takes it out of the address.
-fn welcome(token: &str, path: &str) -> Response {
-    let cookie = format!("{COOKIE_NAME}={token}; Path=/; HttpOnly; SameSite=Strict");
+fn welcome(name: &str, token: &str, path: &str) -> Response {
+    let cookie = format!("{name}={token}; Path=/; HttpOnly; SameSite=Strict");
     let headers = [(SET_COOKIE, cookie), (LOCATION, path.to_owned())];
     (StatusCode::SEE_OTHER, headers).into_response()
 }
 
+/// Cookies know no ports, and several pages of a machine may have tokens of their own: the name says which it is.
+fn cookie_name(headers: &HeaderMap) -> String {
+    match host(headers) {
+        Some((_, Some(port))) => format!("{COOKIE_NAME}_{port}"),
+        _ => COOKIE_NAME.to_owned(),
+    }
+}
+
+/// The name by which the page is called, and the port if there is one.
+fn host(headers: &HeaderMap) -> Option<(&str, Option<&str>)> {
+    let host = headers.get(HOST)?.to_str().ok()?;
+    Some(match host.rsplit_once(':') {
+        Some((name, port)) if port.chars().all(|c| c.is_ascii_digit()) => (name, Some(port)),
+        _ => (host, None),
+    })
+}
+
 fn is_local(headers: &HeaderMap) -> bool {
-    let host = headers.get(HOST).and_then(|host| host.to_str().ok());
-    let Some(host) = host else { return false };
-    let name = match host.rsplit_once(':') {
-        Some((name, port)) if port.chars().all(|c| c.is_ascii_digit()) => name,
-        _ => host,
+    let Some((name, _)) = host(headers) else {
+        return false;
     };
     let bare = name.trim_start_matches('[').trim_end_matches(']');
     name == "localhost"
@@ -151,7 +176,8 @@ fn query_token(query: Option<&str>) -> Option<String> {
 fn cookie(headers: &HeaderMap) -> Option<&str> {
     let pairs = headers.get(COOKIE)?.to_str().ok()?.split(';');
     let mut values = pairs.filter_map(|pair| pair.trim().split_once('='));
-    values.find_map(|(name, value)| (name == COOKIE_NAME).then_some(value))
+    let ours = cookie_name(headers);
+    values.find_map(|(name, value)| (name == ours).then_some(value))
 }
 
 fn bearer(headers: &HeaderMap) -> Option<&str> {
@@ -203,6 +229,9 @@ mod tests {
         std::fs::write(&path, "short\n").unwrap();
         let error = Guard::new(everywhere, Some(&path), false).unwrap_err();
         assert!(error.to_string().contains("5 characters"), "{error}");
+        std::fs::write(&path, "0123456789&abcdef\n").unwrap();
+        let error = Guard::new(everywhere, Some(&path), false).unwrap_err();
+        assert!(error.to_string().contains("it has a '&'"), "{error}");
         std::fs::write(&path, "0123456789abcdef\n").unwrap();
         let guard = Guard::new(everywhere, Some(&path), false).unwrap();
         assert!(guard.knows("0123456789abcdef") && !guard.knows("0123456789abcdeF"));

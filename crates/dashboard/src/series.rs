@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Seek, SeekFrom};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -22,6 +23,8 @@ pub struct Series {
 #[derive(Debug, Default)]
 pub(crate) struct Metrics {
     path: PathBuf,
+    /// The file that was read, whatever its name: a run that goes back to a checkpoint puts another one in its place.
+    inode: u64,
     /// Where reading goes on: after the last whole line.
     offset: u64,
     values: BTreeMap<String, Vec<[f64; 2]>>,
@@ -36,17 +39,16 @@ impl Metrics {
         }
     }
 
-    /// Reads what was written since the last time. A file that became shorter, because its run went back to a
-    /// checkpoint, is read anew; one that is not there yet has no values.
+    /// Reads what was written since the last time. Another file of that name, or one that became shorter, is read anew;
+    /// one that is not there has no values.
     pub(crate) fn refresh(&mut self) -> std::io::Result<()> {
         let Ok(mut file) = File::open(&self.path) else {
+            self.forget(0);
             return Ok(());
         };
-        if file.metadata()?.len() < self.offset {
-            *self = Self {
-                path: std::mem::take(&mut self.path),
-                ..Self::default()
-            };
+        let found = file.metadata()?;
+        if found.ino() != self.inode || found.len() < self.offset {
+            self.forget(found.ino());
         }
         file.seek(SeekFrom::Start(self.offset))?;
         let mut lines = BufReader::new(file);
@@ -61,6 +63,15 @@ impl Metrics {
             self.offset += read as u64;
             self.take(&line);
         }
+    }
+
+    /// Begins anew, with the file `inode`.
+    fn forget(&mut self, inode: u64) {
+        *self = Self {
+            path: std::mem::take(&mut self.path),
+            inode,
+            ..Self::default()
+        };
     }
 
     fn take(&mut self, line: &[u8]) {
@@ -143,6 +154,18 @@ mod tests {
         fs::write(&path, "{\"frames\":10,\"loss\":9.0}\n").unwrap();
         metrics.refresh().unwrap();
         assert_eq!(metrics.series("loss").points, [[10.0, 9.0]]);
+
+        // A learner that resumes puts a cut file in its place, which may have grown past the old one meanwhile.
+        let cut = run.path().join("metrics.jsonl.tmp");
+        let lines = "{\"frames\":5,\"loss\":8.0}\n{\"frames\":10,\"loss\":7.0}\n";
+        fs::write(&cut, lines).unwrap();
+        fs::rename(&cut, &path).unwrap();
+        metrics.refresh().unwrap();
+        assert_eq!(metrics.series("loss").points, [[5.0, 8.0], [10.0, 7.0]]);
+
+        fs::remove_file(&path).unwrap();
+        metrics.refresh().unwrap();
+        assert!(metrics.names().is_empty());
     }
 
     #[test]

@@ -178,4 +178,24 @@ fn a_token_is_asked_for_and_kept_in_a_cookie() {
         ),
         200
     );
+    assert_eq!(
+        status(
+            "/api/runs",
+            &[
+                ("Cookie", "isodream_token=of-yesterday"),
+                ("Authorization", "Bearer 0123456789abcdef")
+            ]
+        ),
+        200,
+        "an old cookie does not stand in the way"
+    );
+
+    let (_, head, _) = server.ask("/?token=0123456789abcdef", &[("Host", "x:7080")]);
+    assert!(
+        head.contains("set-cookie: isodream_token_7080="),
+        "each port has its own: {head}"
+    );
+    let kept = ("Cookie", "isodream_token_7080=0123456789abcdef");
+    let at = |host: &str| server.ask("/api/runs", &[("Host", host), kept]).0;
+    assert_eq!((at("x:7080"), at("x:7081")), (200, 401));
 }
