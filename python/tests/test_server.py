@@ -96,6 +96,20 @@ def test_batches_overlap_and_an_environment_is_not_commanded_twice(caplog: pytes
     assert not [record for record in caplog.records if record.name == "asyncio"]
 
 
+def test_a_server_may_be_stopped_before_its_block_ends() -> None:
+    closed = []
+
+    class Known(World):
+        def close(self) -> None:
+            closed.append(self)
+
+    with Server(Known) as server:
+        server.stop()
+        assert len(closed) == 1
+    server.stop()
+    assert len(closed) == 1
+
+
 def test_what_makes_no_sense_is_refused() -> None:
     with Server(World) as server:
         old = pb.EnvironmentHello(protocol_version=PROTOCOL_VERSION + 1)

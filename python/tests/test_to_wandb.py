@@ -56,7 +56,7 @@ def wandb(monkeypatch: pytest.MonkeyPatch) -> Wandb:
     return stand_in
 
 
-def add_rows(run_dir: Path, *rows: dict[str, float]) -> None:
+def add_rows(run_dir: Path, *rows: dict[str, float | None]) -> None:
     with (run_dir / "metrics.jsonl").open("a") as file:
         file.writelines(json.dumps(row) + "\n" for row in rows)
 
@@ -73,7 +73,7 @@ def run_dir(tmp_path: Path) -> Path:
     (folder / "config.toml").write_text('seed = 3\n[env]\nid = "highway/day"\n')
     add_rows(
         folder,
-        {"frames": 100, "time": 1.0, "train/loss/image": 9.5, "train/loss/reward": float("nan")},
+        {"frames": 100, "time": 1.0, "train/loss/image": 9.5, "train/loss/reward": None},
         {"frames": 100, "time": 2.0, "episode/score": -4.0},
         {"frames": 300, "time": 3.0, "eval/score": 7.25},
     )
@@ -95,7 +95,7 @@ def test_rows_configuration_and_films_arrive(run_dir: Path, wandb: Wandb) -> Non
     assert run.rows[1] == {"frames": 100, "time": 2.0, "episode/score": -4.0}
     film = run.rows[2].pop("eval/film")
     assert film.path == run_dir / "media/episode-0000000200.mp4"
-    assert run.rows[2] == {"frames": 300, "time": 3.0, "eval/score": 7.25}
+    assert run.rows[2] == {"frames": 300, "time": 3.0, "eval/score": 7.25, "eval/film_frames": 200}
     assert run.finished == 1
 
 
@@ -106,12 +106,13 @@ def test_the_same_command_adds_what_is_new(run_dir: Path, wandb: Wandb) -> None:
     assert to_wandb.upload(run_dir, "test") == 3
     metrics.write_text(metrics.read_text().removesuffix(unfinished))
     add_rows(run_dir, {"frames": 400, "time": 4.0, "eval/score": 8.0})
-    add_film(run_dir, 350)
+    # Encoded after the row of its frames had been written, and handed over.
+    add_film(run_dir, 290)
     moved = run_dir.rename(run_dir.with_name("elsewhere"))
     assert to_wandb.upload(moved, "test") == 1
     (run,) = wandb.runs.values()
     assert [row["frames"] for row in run.rows] == [100, 100, 300, 400]
-    assert run.rows[3]["eval/film"].path.name == "episode-0000000350.mp4"
+    assert run.rows[3]["eval/film"].path.name == "episode-0000000290.mp4"
     assert to_wandb.upload(moved, "test") == 0
 
 

@@ -92,7 +92,9 @@ class Server:
             raise
 
     def stop(self) -> None:
-        """Ends all streams, then closes the environments, in three seconds each at most."""
+        """Ends all streams, then closes the environments, in three seconds each at most; once."""
+        if self._loop.is_closed():
+            return
         self._run(self._server.stop(GRACE_SECS))
         self._end()
 

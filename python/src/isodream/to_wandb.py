@@ -20,8 +20,9 @@ RUN_ID = "wandb-run-id"
 MEDIA = {"episode": "eval/film", "open_loop": "open_loop/moving"}
 
 
-def rows(run_dir: Path) -> list[dict[str, float]]:
-    """The lines of `metrics.jsonl`; one that is still being written is left for the next time."""
+def rows(run_dir: Path) -> list[dict[str, float | None]]:
+    """The lines of `metrics.jsonl`, with None for values that were no numbers; one that is still being written is left
+    for the next time."""
     lines = (run_dir / METRICS).read_text().splitlines(keepends=True)
     return [json.loads(line) for line in lines if line.endswith("\n")]
 
@@ -52,16 +53,20 @@ def upload(run_dir: Path, project: str, entity: str | None = None) -> int:
     run = wandb.init(project=project, entity=entity, id=known_as.read_text(), name=name, config=config, resume="allow")
     run.define_metric("frames", hidden=True)
     run.define_metric("*", step_metric="frames")
-    # The newest values are known there. Rows are told apart by time: a learner that resumes cuts rows off.
+    # The newest values are known there. Rows are told apart by time: a learner that resumes cuts rows off. Films come
+    # later than the rows of their frames, so that the frames of the newest one of a kind are told beside it.
     summary: Any = run.summary
-    newest_time, newest_frames = (float(summary.get(key, -math.inf)) for key in ("time", "frames"))
-    new = [row for row in rows(run_dir) if row["time"] > newest_time]
-    films = [film for film in media(run_dir) if film[0] > newest_frames]
+
+    def newest(key: str) -> float:
+        return float(summary.get(key, -math.inf))
+
+    new = [row for row in rows(run_dir) if (row["time"] or 0.0) > newest("time")]
+    films = [film for film in media(run_dir) if film[0] > newest(f"{film[1]}_frames")]
     for row in new:
-        shown: dict[str, Any] = {key: value for key, value in row.items() if math.isfinite(value)}
-        while films and films[0][0] <= row["frames"]:
-            _, metric, path = films.pop(0)
-            shown[metric] = wandb.Video(str(path), format="mp4")
+        shown: dict[str, Any] = {key: value for key, value in row.items() if value is not None}
+        while films and films[0][0] <= (row["frames"] or 0.0):
+            frames, metric, path = films.pop(0)
+            shown |= {metric: wandb.Video(str(path), format="mp4"), f"{metric}_frames": frames}
         run.log(shown)
     run.finish()
     return len(new)
