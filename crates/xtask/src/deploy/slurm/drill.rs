@@ -62,6 +62,7 @@ impl Drill {
         self.begins()?;
         self.roles_are_killed()?;
         self.a_node_fails()?;
+        self.a_second_job_is_refused()?;
         let (joined, guest) = self.actors_join()?;
         self.is_requeued(&guest)?;
         self.is_preempted()?;
@@ -110,11 +111,25 @@ impl Drill {
         self.cluster.start_node(1)
     }
 
+    fn a_second_job_is_refused(&mut self) -> Result<()> {
+        self.step("node1 is back; another job on the run ended", |drill| {
+            let before = drill.run.addresses()?;
+            let second = drill.submit("run", 1)?;
+            until_job(&drill.cluster, &second, "FAILED")?;
+            ensure!(
+                drill.run.addresses()? == before,
+                "the second job took the run's addresses"
+            );
+            Ok("its addresses and secrets are as they were".into())
+        })?;
+        self.went_on()
+    }
+
     /// Returns the job and the name of one of its actors.
     fn actors_join(&mut self) -> Result<(String, String)> {
         let joined = self.submit("join", 1)?;
         let guest = format!("actor-{joined}-0");
-        self.step("node1 is back; its actors joined the run", |drill| {
+        self.step("actors of a third job joined the run", |drill| {
             until_job(&drill.cluster, &joined, "RUNNING")?;
             drill.run.stores_from(&guest, (0, 0))
         })?;

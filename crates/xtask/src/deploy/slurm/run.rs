@@ -170,7 +170,7 @@ impl Run {
     }
 
     /// The line by which the roles find each other: replay-servers, learner, folder of secrets.
-    fn addresses(&self) -> Result<String> {
+    pub(super) fn addresses(&self) -> Result<String> {
         let path = self.dir.join("addresses");
         fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))
     }
