@@ -21,8 +21,7 @@ MEDIA = {"episode": "eval/film", "open_loop": "open_loop/moving"}
 
 
 def rows(run_dir: Path) -> list[dict[str, float | None]]:
-    """The lines of `metrics.jsonl`, with None for values that were no numbers; one that is still being written is left
-    for the next time."""
+    """The lines of `metrics.jsonl` but one that is still being written; values that were no numbers are None."""
     lines = (run_dir / METRICS).read_text().splitlines(keepends=True)
     return [json.loads(line) for line in lines if line.endswith("\n")]
 
