@@ -81,14 +81,10 @@ fn an_interrupted_run_stops_in_ten_seconds_and_resumes_to_its_end() -> Result<()
         "more updates than before"
     );
 
-    let config = Path::new(&run_dir).join("config.toml");
-    let ours = std::fs::read_to_string(&config)?;
-    let output = isodream(&[
+    let stranger = [
         "learner",
         "--preset",
         "debug",
-        "--set",
-        "env.vehicles=7",
         "--set",
         "model.deter=24",
         "--run-dir",
@@ -97,16 +93,8 @@ fn an_interrupted_run_stops_in_ten_seconds_and_resumes_to_its_end() -> Result<()
         "127.0.0.1:1",
         "--listen",
         "127.0.0.1:0",
-    ])?;
-    let words = String::from_utf8_lossy(&output.stderr);
-    ensure!(
-        !output.status.success() && words.contains("choose another --run-dir"),
-        "{words}"
-    );
-    ensure!(
-        std::fs::read_to_string(&config)? == ours,
-        "a refused learner changed the run's configuration"
-    );
+    ];
+    changes_nothing(&stranger, "choose another --run-dir", run_dir.as_ref())?;
 
     let output = isodream(&[
         "eval",
@@ -131,6 +119,20 @@ fn an_interrupted_run_stops_in_ten_seconds_and_resumes_to_its_end() -> Result<()
             );
         }
     }
+    Ok(())
+}
+
+/// Fails unless a command is refused with `words` and leaves the configuration of the run as it is.
+fn changes_nothing(args: &[&str], words: &str, run_dir: &Path) -> Result<()> {
+    let config = run_dir.join("config.toml");
+    let before = std::fs::read_to_string(&config)?;
+    let output = isodream(args)?;
+    let said = String::from_utf8_lossy(&output.stderr);
+    ensure!(!output.status.success() && said.contains(words), "{said}");
+    ensure!(
+        std::fs::read_to_string(&config)? == before,
+        "{args:?} changed the run's configuration"
+    );
     Ok(())
 }
 
@@ -190,26 +192,10 @@ fn a_killed_supervisor_leaves_no_orphans() -> Result<()> {
         &learner,
     ])?;
     until("the learner is up", LATER, || learner_status(&learner))?;
-    let config = folder.path().join("run/config.toml");
-    let ours = std::fs::read_to_string(&config)?;
-    let second = isodream(&[
-        "train",
-        "--run-dir",
-        &run_dir,
-        "--preset",
-        "debug",
-        "--set",
-        "seed=5",
-    ])?;
-    let words = String::from_utf8_lossy(&second.stderr);
-    ensure!(
-        !second.status.success() && words.contains("is in use by another train"),
-        "{words}"
-    );
-    ensure!(
-        std::fs::read_to_string(&config)? == ours,
-        "roles that are restarted would run with other settings"
-    );
+    // Roles that are restarted read it again.
+    let train_too = ["train", "--run-dir", &run_dir];
+    let second = [&train_too[..], &["--preset", "debug", "--set", "seed=5"]].concat();
+    changes_nothing(&second, "is in use by another train", run_dir.as_ref())?;
     let children = train.children()?;
     ensure!(!children.is_empty());
     train.kill()?;

@@ -14,7 +14,7 @@ const CHOSEN = 12;
 const COLORS = 8;
 
 const byId = (id) => document.getElementById(id);
-const state = { runs: [], chosen: null, shown: null, series: new Map(), charts: new Map(), live: false };
+const state = { runs: [], rows: new Map(), chosen: null, shown: null, series: new Map(), charts: new Map(), live: false };
 
 async function ask(path, query = {}) {
   const answer = await fetch(`api/${path}?${new URLSearchParams(query)}`);
@@ -26,17 +26,31 @@ const color = (index) => getComputedStyle(document.documentElement).getPropertyV
 const groups = () => [...new Set(state.runs.map((run) => run.group))].sort();
 const chosenRuns = () => state.runs.filter((run) => state.chosen?.has(run.id));
 
-function runRow(run) {
+/** Children that are there already stay what they are: somebody may be about to use them. */
+function place(area, elements) {
+  if (elements.length !== area.childNodes.length || elements.some((element, i) => element !== area.childNodes[i])) {
+    area.replaceChildren(...elements);
+  }
+}
+
+function newRow(id) {
   const row = document.createElement("label");
   row.innerHTML = "<input type='checkbox'><span class='swatch'></span><span class='name'></span>"
     + "<span class='env quiet'></span><span class='progress quiet'></span><span class='score'></span>";
-  const [box, swatch, name, env, progress, score] = row.children;
-  box.checked = state.chosen.has(run.id);
+  const box = row.children[0];
   box.addEventListener("change", () => {
-    if (box.checked) state.chosen.add(run.id);
-    else state.chosen.delete(run.id);
+    if (box.checked) state.chosen.add(id);
+    else state.chosen.delete(id);
     refreshCurves().catch(() => {});
   });
+  return row;
+}
+
+function runRow(run) {
+  if (!state.rows.has(run.id)) state.rows.set(run.id, newRow(run.id));
+  const row = state.rows.get(run.id);
+  const [box, swatch, name, env, progress, score] = row.children;
+  box.checked = state.chosen.has(run.id);
   swatch.style.background = color(lineIndex(run));
   name.textContent = run.id === "." ? "this run" : run.id;
   env.textContent = run.env;
@@ -54,8 +68,8 @@ function lineIndex(run) {
 
 function showRuns() {
   const sorted = [...state.runs].sort((a, b) => a.group.localeCompare(b.group) || a.seed - b.seed);
-  byId("runs").replaceChildren(...sorted.map(runRow));
-  if (!sorted.length) byId("runs").textContent = "There is no run here yet.";
+  if (sorted.length) place(byId("runs"), sorted.map(runRow));
+  else byId("runs").textContent = "There is no run here yet.";
   const select = byId("shown-run");
   // A list that somebody has open stays as it is, unless it says something else.
   const same = select.options.length === sorted.length && sorted.every((run, i) => select.options[i].value === run.id);
@@ -93,10 +107,7 @@ function showCurves() {
     if (!state.charts.has(name)) state.charts.set(name, new Chart(name));
   }
   const elements = wanted.map((name) => state.charts.get(name).element);
-  const area = byId("charts");
-  if (elements.length !== area.children.length || elements.some((element, i) => element !== area.children[i])) {
-    area.replaceChildren(...elements);
-  }
+  place(byId("charts"), elements);
   wanted.forEach((name) => state.charts.get(name).show(lines(name)));
 }
 
@@ -120,7 +131,7 @@ async function refresh() {
   state.runs = overview.runs;
   if (overview.runs.length) state.chosen ??= new Set(overview.runs.slice(0, CHOSEN).map((run) => run.id));
   state.shown = overview.runs.some((run) => run.id === state.shown) ? state.shown : overview.runs[0]?.id ?? null;
-  if (!byId("runs").contains(document.activeElement)) showRuns();
+  showRuns();
   byId("live").hidden = !overview.live;
   const live = overview.live ? ask("live").then(showLive) : null;
   const media = state.shown === null ? null : ask("media", { run: state.shown }).then((found) => showMedia(state.shown, found));

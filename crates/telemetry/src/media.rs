@@ -10,13 +10,13 @@
 //! `FRAMES` are the environment frames of the run at that moment, ten digits, so that names sort by time. The JSON
 //! comes last: where it is, the rest is whole.
 
-use std::fs;
-use std::io::ErrorKind;
+use std::fs::{self, File};
+use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Error, Result, Rgb, write_mp4, write_whole};
+use crate::{Error, Result, Rgb, write_mp4};
 
 /// Episodes, and panels, that a folder keeps at most: some 20 MB of each.
 const KEPT: usize = 40;
@@ -144,8 +144,15 @@ impl MediaFolder {
         Ok(frames)
     }
 
+    /// In one step, so that nobody reads half of it, and without a wait for the disk: training goes on meanwhile, and a
+    /// picture that a crash of the machine takes is missed by nobody.
     fn put(&self, file: &str, bytes: &[u8]) -> Result<()> {
-        write_whole(&self.dir.join(file), bytes)
+        let path = self.dir.join(file);
+        let part = self.dir.join(format!("{file}.tmp"));
+        File::create(&part)
+            .and_then(|mut file| file.write_all(bytes))
+            .map_err(Error::io("write", &part))?;
+        fs::rename(&part, &path).map_err(Error::io("rename to", &path))
     }
 }
 

@@ -59,7 +59,8 @@ def upload(run_dir: Path, project: str, entity: str | None = None) -> int:
     def newest(key: str) -> float:
         return float(summary.get(key, -math.inf))
 
-    new = [row for row in rows(run_dir) if (row["time"] or 0.0) > newest("time")]
+    newest_time = newest("time")
+    new = [row for row in rows(run_dir) if (row["time"] or 0.0) > newest_time]
     films = [film for film in media(run_dir) if film[0] > newest(f"{film[1]}_frames")]
     for row in new:
         shown: dict[str, Any] = {key: value for key, value in row.items() if value is not None}

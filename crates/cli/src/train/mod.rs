@@ -92,10 +92,7 @@ pub(crate) async fn run(args: TrainArgs) -> anyhow::Result<()> {
         .with_context(|| format!("cannot write the run directory {}", args.run_dir.display()))?;
     write_whole(&config_path, config.to_toml().as_bytes())?;
     let shutdown = shutdown_on_signal()?;
-    let mut processes = Processes::new(
-        &args.run_dir,
-        Duration::from_secs_f64(config.learner.stop_secs),
-    );
+    let mut processes = Processes::new(&args.run_dir);
     let path = |path: &Path| path.display().to_string();
     let with_config = |role: &str, more: &[&str]| {
         let mut all = vec![

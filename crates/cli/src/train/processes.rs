@@ -21,8 +21,8 @@ const RESTARTS: ExponentialBuilder = ExponentialBuilder::new()
     .with_max_delay(Duration::from_secs(5))
     .with_max_times(5);
 
-/// How long roles may take to stop by themselves before they are killed; a learner, beyond the update that it waits for
-/// (`learner.stop_secs`), for its checkpoint. Where updates are short, all of them together stay under ten seconds.
+/// How long roles may take to stop by themselves before they are killed. All of them together stay under ten
+/// seconds.
 const STOP_DEADLINE: Duration = Duration::from_secs(6);
 const REPLAY_STOP_DEADLINE: Duration = Duration::from_secs(3);
 
@@ -54,8 +54,6 @@ enum State {
 pub(crate) struct Processes {
     processes: Vec<Process>,
     logs: PathBuf,
-    /// How long the learner waits for its running update when it is told to stop.
-    learner_stop: Duration,
 }
 
 impl Process {
@@ -153,11 +151,10 @@ impl Process {
 }
 
 impl Processes {
-    pub(crate) fn new(run_dir: &Path, learner_stop: Duration) -> Self {
+    pub(crate) fn new(run_dir: &Path) -> Self {
         Self {
             processes: Vec::new(),
             logs: run_dir.join("logs"),
-            learner_stop,
         }
     }
 
@@ -205,18 +202,12 @@ impl Processes {
             .processes
             .iter_mut()
             .partition(|process| process.name == "replay");
-        let learner_stop = self.learner_stop;
-        stop_all(others, |name| match name {
-            "learner" => learner_stop + STOP_DEADLINE,
-            _ => STOP_DEADLINE,
-        })
-        .await;
-        stop_all(replay, |_| REPLAY_STOP_DEADLINE).await;
+        stop_all(others, STOP_DEADLINE).await;
+        stop_all(replay, REPLAY_STOP_DEADLINE).await;
     }
 }
 
-/// Tells all of them to stop, and kills those that run when their time is over.
-async fn stop_all(processes: Vec<&mut Process>, deadline: impl Fn(&str) -> Duration) {
+async fn stop_all(processes: Vec<&mut Process>, deadline: Duration) {
     let mut running: Vec<(&str, &mut Child)> = processes
         .into_iter()
         .filter_map(|process| match &mut process.state {
@@ -227,9 +218,8 @@ async fn stop_all(processes: Vec<&mut Process>, deadline: impl Fn(&str) -> Durat
     for (_, child) in &mut running {
         drop(child.stdin.take());
     }
-    let told = tokio::time::Instant::now();
+    let until = tokio::time::Instant::now() + deadline;
     for (name, child) in running {
-        let until = told + deadline(name);
         if tokio::time::timeout_at(until, child.wait()).await.is_err() {
             tracing::warn!(role = name, "did not stop in time and is killed");
             if let Err(error) = child.kill().await {

@@ -114,6 +114,8 @@ pub struct LearnerConfig {
     pub initial_parts: Vec<String>,
     /// Seconds that a learner which is told to stop waits for the running update, so that it can be kept. Leave it
     /// below what the machine's supervisor waits before it kills (Docker 10 s unless told, Kubernetes 30 s).
+    /// `isodream train` waits for 6 s at most, so that Ctrl-C takes no more than ten: where an update takes longer, what
+    /// follows the newest checkpoint, five minutes at most, is trained again.
     pub stop_secs: f64,
     /// Checkpoints kept, at least 2.
     pub keep_checkpoints: usize,
