@@ -13,7 +13,7 @@ use isodream_proto::v1::{ReplayStatus, SampleCredit, SampleHello, SampleReply, S
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::sync::mpsc::{self, OwnedPermit};
-use tokio::task::JoinSet;
+use tokio::task::{AbortHandle, JoinSet};
 
 use crate::limits::RESOLVE_INTERVAL;
 use crate::link_state::LinkState;
@@ -36,11 +36,18 @@ pub(crate) struct SampleMerge {
     priorities: mpsc::Receiver<Vec<PriorityUpdate>>,
     /// Room in the channel, one for each sequence that is or will be asked for: credits never exceed it.
     room: VecDeque<OwnedPermit<SampledSequence>>,
+    links: BTreeMap<String, Link>,
     servers: BTreeMap<String, Server>,
     rng: ChaCha8Rng,
     connections: u64,
     sampled_steps: BTreeMap<Arc<str>, u64>,
     unlimited_left: u64,
+}
+
+/// An address at which a server is looked for.
+struct Link {
+    state: Arc<LinkState>,
+    task: AbortHandle,
 }
 
 /// A server that is there.
@@ -68,6 +75,7 @@ impl SampleMerge {
             priorities,
             watch,
             room: VecDeque::new(),
+            links: BTreeMap::new(),
             servers: BTreeMap::new(),
             rng: ChaCha8Rng::seed_from_u64(derive_seed(options.seed, &["servers"])),
             connections: 0,
@@ -82,10 +90,9 @@ impl SampleMerge {
     /// Returns only when a server refuses for good or nobody listens any more.
     pub(crate) async fn run(mut self) {
         let (events, mut reports) = mpsc::channel(EVENTS);
-        let mut links = JoinSet::new();
-        let mut linked = Vec::new();
+        let mut tasks = JoinSet::new();
         let (found, mut looked_up) = mpsc::channel(1);
-        links.spawn(look_up(
+        tasks.spawn(look_up(
             self.dialer.clone(),
             self.options.addresses.clone(),
             found,
@@ -93,41 +100,71 @@ impl SampleMerge {
         loop {
             self.grant();
             tokio::select! {
-                Some((address, event)) = reports.recv() => {
-                    if let Event::Refused(error) = event {
-                        self.watch.end(error);
-                        return;
+                Some((address, event)) = reports.recv() => match event {
+                    Event::Refused(error) => {
+                        let addresses = self.dialer.resolve(&self.options.addresses).await;
+                        if addresses.contains(&address) {
+                            self.watch.end(error);
+                            return;
+                        }
+                        // Whoever has taken over the address of a server that moved does not speak for it.
+                        tracing::warn!(address, %error, "no replay-server of ours is there any more");
+                        self.unlink(&address);
                     }
-                    self.happened(address, event);
+                    event if self.links.contains_key(&address) => self.happened(address, event),
+                    // What a link still said before it ended.
+                    _ => {}
                 },
                 room = self.sequences.clone().reserve_owned() => match room {
                     Ok(room) => self.room.push_back(room),
                     Err(_) => return,
                 },
                 Some(updates) = self.priorities.recv() => self.send_priorities(&updates),
-                Some(addresses) = looked_up.recv() => {
-                    for address in addresses {
-                        if !linked.contains(&address) && let Some(link) = self.link(&address, &events) {
-                            links.spawn(link.run());
-                            linked.push(address);
-                        }
-                    }
-                }
+                Some(addresses) = looked_up.recv() => self.link_to(addresses, &events, &mut tasks),
+                Some(_) = tasks.join_next() => {}
             }
         }
     }
 
-    fn link(&self, address: &str, events: &mpsc::Sender<(String, Event)>) -> Option<SampleLink> {
-        let state = Arc::new(LinkState::new(address));
-        let client = self.dialer.replay(address).ok()?;
-        self.watch.add(state.clone());
-        Some(SampleLink {
-            address: address.to_owned(),
-            client,
-            state,
-            requests_ahead: self.credits_ahead() + BATCHES_AHEAD,
-            events: events.clone(),
-        })
+    /// Looks for servers at `addresses`, and no more where a name led before and nobody is there.
+    fn link_to(
+        &mut self,
+        addresses: Vec<String>,
+        events: &mpsc::Sender<(String, Event)>,
+        tasks: &mut JoinSet<()>,
+    ) {
+        let mut left: Vec<String> = self.links.keys().cloned().collect();
+        left.retain(|address| !addresses.contains(address) && !self.servers.contains_key(address));
+        for address in left {
+            self.unlink(&address);
+        }
+        for address in addresses {
+            if self.links.contains_key(&address) {
+                continue;
+            }
+            let Ok(client) = self.dialer.replay(&address) else {
+                continue;
+            };
+            let state = Arc::new(LinkState::new(&address));
+            self.watch.add(state.clone());
+            let link = SampleLink {
+                address: address.clone(),
+                client,
+                state: state.clone(),
+                requests_ahead: self.credits_ahead() + BATCHES_AHEAD,
+                events: events.clone(),
+            };
+            let task = tasks.spawn(link.run());
+            self.links.insert(address, Link { state, task });
+        }
+    }
+
+    fn unlink(&mut self, address: &str) {
+        self.servers.remove(address);
+        if let Some(link) = self.links.remove(address) {
+            link.task.abort();
+            self.watch.remove(&link.state);
+        }
     }
 
     /// Requests queued for a server without priorities: the hello and as many grants as there can be sequences.

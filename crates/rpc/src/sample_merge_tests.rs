@@ -236,3 +236,25 @@ async fn priorities_go_to_the_store_they_came_from_and_leave_room_for_credits() 
     let (a, b) = (bench.credits("a"), bench.credits("b"));
     assert_eq!(a.0 + b.0, PREFETCH as u32);
 }
+
+#[tokio::test]
+async fn an_address_that_is_given_up_is_looked_at_no_more_unless_a_server_is_there() {
+    let mut bench = Bench::new(0);
+    let (events, _reports) = mpsc::channel(EVENTS);
+    let mut tasks = JoinSet::new();
+    let mut looked_up = |bench: &mut Bench, names: &[&str]| {
+        let addresses = names.iter().map(|name| (*name).to_owned()).collect();
+        bench.merge.link_to(addresses, &events, &mut tasks);
+        bench.merge.links.keys().cloned().collect::<Vec<_>>()
+    };
+    assert_eq!(looked_up(&mut bench, &["a:1", "b:1"]), ["a:1", "b:1"]);
+    bench.found("b:1", "store-b", 1).expect("wanted");
+    assert_eq!(looked_up(&mut bench, &["c:1"]), ["b:1", "c:1"]);
+    let waiting = bench.merge.watch.waiting().expect("nobody answers");
+    assert!(
+        !waiting.contains("a:1") && waiting.contains("c:1"),
+        "{waiting}"
+    );
+    bench.merge.happened("b:1".into(), Event::Lost);
+    assert_eq!(looked_up(&mut bench, &["c:1"]), ["c:1"]);
+}

@@ -48,6 +48,12 @@ impl SampleWatch {
         self.servers().links.push(link);
     }
 
+    pub(crate) fn remove(&self, link: &Arc<LinkState>) {
+        self.servers()
+            .links
+            .retain(|known| !Arc::ptr_eq(known, link));
+    }
+
     pub(crate) fn holds(&self, status: &ReplayStatus) {
         let mut servers = self.servers();
         let known = servers.inserted_steps.entry(status.store_id.clone());
