@@ -7,13 +7,13 @@ use isodream_core::Chunk;
 use isodream_proto::v1::append_request::Kind;
 use isodream_proto::v1::{AppendRequest, Hello, ReplayStatusRequest};
 use isodream_proto::{Identity, v1};
-use tokio::sync::{mpsc, watch};
+use tokio::sync::mpsc;
 use tokio::time::Instant;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 
 use crate::error::words;
-use crate::limits::RECONNECT_DELAYS;
+use crate::limits::{RECONNECT_DELAYS, STATUS_TIMEOUT};
 use crate::link_state::LinkState;
 use crate::spool::Spool;
 use crate::{ReplayClient, RpcError, is_refusal, reconnect_delays};
@@ -37,7 +37,7 @@ pub(crate) struct Sender {
 pub(crate) enum Purpose {
     /// New chunks, until the server was away for so long; none waits for ever.
     Current(Option<Duration>),
-    /// What this store was sent before it went away; ends when there is nothing left.
+    /// What this store was sent before the client left it; ends when there is nothing left.
     Leftovers(String),
 }
 
@@ -52,85 +52,86 @@ pub(crate) enum LinkEnd {
     Refused(RpcError),
 }
 
+/// What came of a connection before it failed.
+#[derive(Debug, Default)]
+pub(crate) struct Achieved {
+    connected: bool,
+    /// The server acknowledged something new.
+    pub(crate) progressed: bool,
+}
+
 pub(crate) struct AppendLink {
     pub(crate) client: ReplayClient,
     pub(crate) sender: Arc<Sender>,
     pub(crate) spool: Arc<Spool>,
     pub(crate) state: Arc<LinkState>,
     pub(crate) purpose: Purpose,
-    /// The store that answered last.
-    pub(crate) store_id: Option<String>,
 }
 
 impl AppendLink {
     /// Connects again and again until it has a reason to end.
-    pub(crate) async fn run(&mut self) -> LinkEnd {
+    pub(crate) async fn run(&self) -> LinkEnd {
         let mut delays = reconnect_delays();
         let mut working_at = Instant::now();
         loop {
-            let mut progressed = false;
             let since = Instant::now();
-            let mut connected = false;
-            let result = self
-                .connection(working_at, &mut connected, &mut progressed)
-                .await;
-            let status = match result {
-                Ok(Some(end)) => return end,
-                Ok(None) => Status::unavailable("the server closed the stream"),
+            let mut achieved = Achieved::default();
+            let status = match self.connection(working_at, &mut achieved).await {
+                Ok(end) => return end,
                 Err(status) => status,
             };
-            if is_refusal(&status) {
-                return LinkEnd::Refused(self.state.refused(words(&status)));
-            }
             self.state.lost(words(&status));
             let lasted = since.elapsed() > RECONNECT_DELAYS.1;
             // A server that answers and at once fails again, whose disk is broken for example, does not work.
-            if progressed || (connected && lasted) {
+            if achieved.progressed || (achieved.connected && lasted) {
                 working_at = Instant::now();
             }
-            if progressed || lasted {
+            if achieved.progressed || lasted {
                 delays = reconnect_delays();
             }
             tokio::time::sleep(delays.next().unwrap_or_default()).await;
         }
     }
 
-    /// One connection; ends early where none comes about soon enough after `working_at`.
-    async fn connection(
-        &mut self,
+    /// One connection: a reason to end, or why it failed. It ends early where none comes about soon enough after
+    /// `working_at`.
+    pub(crate) async fn connection(
+        &self,
         working_at: Instant,
-        connected: &mut bool,
-        progressed: &mut bool,
-    ) -> Result<Option<LinkEnd>, Status> {
-        let opening = self.open();
-        let opened = match self.purpose {
-            Purpose::Current(Some(patience)) => {
-                match tokio::time::timeout_at(working_at + patience, opening).await {
-                    Ok(opened) => opened?,
-                    Err(_) => return Ok(Some(LinkEnd::Away)),
+        achieved: &mut Achieved,
+    ) -> Result<LinkEnd, Status> {
+        let patience = match self.purpose {
+            Purpose::Current(patience) => patience,
+            Purpose::Leftovers(_) => Some(STATUS_TIMEOUT),
+        };
+        let opened = match patience {
+            Some(patience) => {
+                match tokio::time::timeout_at(working_at + patience, self.open()).await {
+                    Ok(opened) => opened,
+                    Err(_) => return Ok(LinkEnd::Away),
                 }
             }
-            Purpose::Current(None) | Purpose::Leftovers(_) => opening.await?,
+            None => self.open().await,
         };
-        let Some(opened) = opened else {
-            return Ok(None);
+        let ended = match opened {
+            Ok(opened) => {
+                achieved.connected = true;
+                self.exchange(opened, &mut achieved.progressed).await
+            }
+            Err(status) => Err(status),
         };
-        *connected = true;
-        self.exchange(opened, progressed).await
+        match ended {
+            Err(status) if is_refusal(&status) => {
+                Ok(LinkEnd::Refused(self.state.refused(words(&status))))
+            }
+            ended => ended,
+        }
     }
 
-    /// Asks who is there and opens a stream to it; none where it closed at once.
-    async fn open(&self) -> Result<Option<Opened>, Status> {
+    /// Asks who is there and opens a stream to it.
+    async fn open(&self) -> Result<Opened, Status> {
         let mut client = self.client.clone();
-        let status = client.status(ReplayStatusRequest {}).await?;
-        let store_id = status.into_inner().store_id;
-        if let Purpose::Leftovers(wanted) = &self.purpose
-            && *wanted != store_id
-        {
-            return Err(Status::unavailable(format!(
-                "the store is {store_id} now, {wanted} is away"
-            )));
-        }
+        let store_id = self.store_id(&mut client).await?;
         let acknowledged_seq = self.spool.first_seq(&store_id);
         // A store that knows this process by its own epoch, else what the first one gave it.
         let known = self.spool.epoch(&store_id);
@@ -150,25 +151,35 @@ impl AppendLink {
             .append(ReceiverStream::new(requests))
             .await?
             .into_inner();
-        let Some(first) = replies.message().await? else {
-            return Ok(None);
-        };
-        Ok(Some(Opened {
+        let first = replies.message().await?.ok_or_else(closed)?;
+        Ok(Opened {
             store_id,
             acknowledged_seq,
             outbound,
             replies,
             first,
-        }))
+        })
+    }
+
+    /// The store that is there; leftovers are for one alone, and a stranger's refusal is none of it.
+    async fn store_id(&self, client: &mut ReplayClient) -> Result<String, Status> {
+        let status = client.status(ReplayStatusRequest {}).await;
+        let Purpose::Leftovers(wanted) = &self.purpose else {
+            return Ok(status?.into_inner().store_id);
+        };
+        let found = status.map_err(|status| Status::unavailable(words(&status)))?;
+        let store_id = found.into_inner().store_id;
+        if store_id == *wanted {
+            return Ok(store_id);
+        }
+        Err(Status::unavailable(format!(
+            "the store there is {store_id}"
+        )))
     }
 
     /// Sends and is answered until the connection or the work ends; `progressed` tells whether the server
     /// acknowledged anything new.
-    async fn exchange(
-        &mut self,
-        opened: Opened,
-        progressed: &mut bool,
-    ) -> Result<Option<LinkEnd>, Status> {
+    async fn exchange(&self, opened: Opened, progressed: &mut bool) -> Result<LinkEnd, Status> {
         let Opened {
             store_id,
             acknowledged_seq,
@@ -189,48 +200,50 @@ impl AppendLink {
                 );
             }
         }
-        self.store_id = Some(store_id.clone());
         self.answered(&store_id, &first, acknowledged_seq, progressed)?;
         let mut next_seq = first.durable_seq;
         let mut changes = self.spool.changes();
         loop {
-            if !is_current && !self.spool.owes(&store_id) {
-                return Ok(Some(LinkEnd::Empty));
+            changes.borrow_and_update();
+            if !is_current && !self.spool.is_left_behind(&store_id) {
+                return Ok(LinkEnd::Empty);
+            }
+            if self.spool.first_seq(&store_id) > next_seq {
+                return Err(Status::unavailable("what comes next is not owed any more"));
             }
             tokio::select! {
-                reply = replies.message() => match reply? {
-                    Some(reply) => self.answered(&store_id, &reply, acknowledged_seq, progressed)?,
-                    None => return Ok(None),
-                },
-                next = self.next_chunk(&outbound, &mut changes, &store_id, next_seq) => match next {
+                reply = replies.message() => {
+                    let reply = reply?.ok_or_else(closed)?;
+                    self.answered(&store_id, &reply, acknowledged_seq, progressed)?;
+                }
+                next = self.next_chunk(&outbound, &store_id, next_seq) => match next {
                     Some((room, chunk)) => {
                         room.send(request(Kind::Chunk(chunk.into())));
                         next_seq += 1;
                     }
                     // The transport dropped the request stream: the replies carry the reason.
-                    None => return self.drain(&store_id, &mut replies).await,
+                    None => return Err(self.drain(&store_id, &mut replies).await),
                 },
+                // The spool lives as long as this link.
+                _ = changes.changed() => {}
             }
         }
     }
 
-    /// Chunk `seq` and room for it in the transport, which comes first: a chunk that is taken belongs to this
-    /// store for good. None where the transport is gone.
+    /// Chunk `seq`, if the spool has it, and room for it in the transport, which comes first: a chunk that is taken
+    /// belongs to this store for good. None where the transport is gone.
     async fn next_chunk<'a>(
         &self,
         outbound: &'a mpsc::Sender<AppendRequest>,
-        changes: &mut watch::Receiver<()>,
         store_id: &str,
         seq: u64,
     ) -> Option<(mpsc::Permit<'a, AppendRequest>, Chunk)> {
         let take = matches!(self.purpose, Purpose::Current(_));
         let room = outbound.reserve().await.ok()?;
-        loop {
-            changes.borrow_and_update();
-            if let Some(chunk) = self.spool.get(store_id, seq, take) {
-                return Some((room, chunk));
-            }
-            changes.changed().await.ok()?;
+        match self.spool.get(store_id, seq, take) {
+            Some(chunk) => Some((room, chunk)),
+            // The caller asks again at every change.
+            None => std::future::pending().await,
         }
     }
 
@@ -255,17 +268,22 @@ impl AppendLink {
         Ok(())
     }
 
+    /// What is still acknowledged, and why the connection ended.
     async fn drain(
         &self,
         store_id: &str,
         replies: &mut tonic::Streaming<v1::AppendReply>,
-    ) -> Result<Option<LinkEnd>, Status> {
-        while let Some(reply) = replies.message().await? {
-            self.spool
-                .acknowledge(store_id, reply.durable_seq)
-                .map_err(Status::failed_precondition)?;
+    ) -> Status {
+        loop {
+            let acknowledged = match replies.message().await {
+                Ok(Some(reply)) => self.spool.acknowledge(store_id, reply.durable_seq),
+                Ok(None) => return closed(),
+                Err(status) => return status,
+            };
+            if let Err(reason) = acknowledged {
+                return Status::failed_precondition(reason);
+            }
         }
-        Ok(None)
     }
 }
 
@@ -276,6 +294,10 @@ struct Opened {
     outbound: mpsc::Sender<AppendRequest>,
     replies: tonic::Streaming<v1::AppendReply>,
     first: v1::AppendReply,
+}
+
+fn closed() -> Status {
+    Status::unavailable("the server closed the stream")
 }
 
 fn request(kind: Kind) -> AppendRequest {

@@ -1,32 +1,28 @@
 //! Which replay-server an [`crate::AppendClient`] sends to.
 
 use std::cmp::Reverse;
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use isodream_core::derive_seed;
-use tokio::task::{AbortHandle, JoinSet};
+use tokio::task::JoinSet;
 
 use crate::append_link::{AppendLink, LinkEnd, Purpose, Sender};
+use crate::courier::Courier;
 use crate::link_state::LinkState;
 use crate::spool::Spool;
 use crate::{Dialer, RpcError};
 
 /// Sends to one server for as long as it is there, then to the next, for ever.
 pub(crate) struct AppendRoute {
-    pub(crate) dialer: Dialer,
-    pub(crate) addresses: Vec<String>,
-    pub(crate) failover_after: Duration,
-    pub(crate) sender: Arc<Sender>,
-    pub(crate) spool: Arc<Spool>,
+    dialer: Dialer,
+    addresses: Vec<String>,
+    failover_after: Duration,
+    sender: Arc<Sender>,
+    spool: Arc<Spool>,
     /// The link that new chunks go to.
-    pub(crate) current: Arc<Mutex<Arc<LinkState>>>,
-    /// The stores that addresses led to, as far as they are known.
-    stores: BTreeMap<String, String>,
-    /// What servers took with them when they went away, one task each, by address.
-    leftovers: JoinSet<LinkEnd>,
-    delivering: BTreeMap<String, AbortHandle>,
+    current: Arc<Mutex<Arc<LinkState>>>,
 }
 
 impl AppendRoute {
@@ -45,86 +41,94 @@ impl AppendRoute {
             sender: Arc::new(sender),
             spool,
             current,
-            stores: BTreeMap::new(),
-            leftovers: JoinSet::new(),
-            delivering: BTreeMap::new(),
         }
     }
 
-    /// Returns only when a server refuses for good.
-    pub(crate) async fn run(mut self) -> RpcError {
+    /// Returns only when a server refuses for good: one that new chunks go to, or one that was sent some before.
+    pub(crate) async fn run(self) -> RpcError {
+        tokio::select! {
+            error = self.send() => error,
+            error = self.deliver_leftovers() => error,
+        }
+    }
+
+    async fn send(&self) -> RpcError {
         let mut left = None;
         loop {
             let addresses = self.dialer.resolve(&self.addresses).await;
             let address = next(&self.sender.actor_id, addresses.clone(), left.as_deref());
             let patience = (addresses.len() > 1).then_some(self.failover_after);
             match self.send_to(&address, patience).await {
-                LinkEnd::Refused(error) => return error,
+                LinkEnd::Refused(error) => {
+                    // Whoever has taken over the address of a server that moved does not speak for it.
+                    let found = self.dialer.resolve(&self.addresses).await;
+                    if found.contains(&address) {
+                        return error;
+                    }
+                    tracing::warn!(address, %error, "no replay-server of ours is there any more");
+                }
                 LinkEnd::Away | LinkEnd::Empty => {
                     tracing::warn!(
                         address,
                         after_secs = self.failover_after.as_secs_f64(),
                         "a replay-server stays away, turning to the next"
                     );
-                    left = Some(address);
                 }
             }
+            left = Some(address);
         }
     }
 
-    async fn send_to(&mut self, address: &str, patience: Option<Duration>) -> LinkEnd {
-        if let Some(task) = self.delivering.remove(address) {
-            task.abort();
-        }
-        let mut link = match self.link(address, Purpose::Current(patience)) {
-            Ok(link) => link,
+    async fn send_to(&self, address: &str, patience: Option<Duration>) -> LinkEnd {
+        let client = match self.dialer.replay(address) {
+            Ok(client) => client,
             Err(error) => return LinkEnd::Refused(error),
         };
-        *self.current.lock().unwrap_or_else(PoisonError::into_inner) = link.state.clone();
-        // A server that refuses what it was sent before refuses this client.
-        let refused = async {
-            loop {
-                match self.leftovers.join_next().await {
-                    Some(Ok(LinkEnd::Refused(error))) => return LinkEnd::Refused(error),
-                    Some(_) => {}
-                    None => std::future::pending().await,
-                }
-            }
-        };
-        let end = tokio::select! {
-            end = link.run() => end,
-            end = refused => end,
-        };
-        if let Some(store_id) = link.store_id {
-            self.stores.insert(address.to_owned(), store_id);
-        }
-        self.deliver_leftovers(address);
-        end
-    }
-
-    /// Whatever the store behind `address` was sent waits there for it.
-    fn deliver_leftovers(&mut self, address: &str) {
-        let Some(store_id) = self.stores.get(address).cloned() else {
-            return;
-        };
-        if !self.spool.owes(&store_id) {
-            return;
-        }
-        if let Ok(mut link) = self.link(address, Purpose::Leftovers(store_id)) {
-            let task = self.leftovers.spawn(async move { link.run().await });
-            self.delivering.insert(address.to_owned(), task);
-        }
-    }
-
-    fn link(&self, address: &str, purpose: Purpose) -> Result<AppendLink, RpcError> {
-        Ok(AppendLink {
-            client: self.dialer.replay(address)?,
+        let link = AppendLink {
+            client,
             sender: self.sender.clone(),
             spool: self.spool.clone(),
             state: Arc::new(LinkState::new(address)),
-            purpose,
-            store_id: None,
-        })
+            purpose: Purpose::Current(patience),
+        };
+        *self.current.lock().unwrap_or_else(PoisonError::into_inner) = link.state.clone();
+        link.run().await
+    }
+
+    /// Keeps a courier for every store that is left behind with chunks.
+    async fn deliver_leftovers(&self) -> RpcError {
+        let mut couriers = JoinSet::new();
+        let mut delivering = BTreeSet::new();
+        let mut changes = self.spool.changes();
+        loop {
+            changes.borrow_and_update();
+            for store_id in self.spool.left_behind() {
+                if delivering.insert(store_id.clone()) {
+                    let courier = self.courier(store_id.clone());
+                    couriers.spawn(async move { (store_id, courier.run().await) });
+                }
+            }
+            tokio::select! {
+                // The spool lives as long as this route.
+                _ = changes.changed() => {}
+                Some(Ok((store_id, delivered))) = couriers.join_next() => {
+                    if let Err(error) = delivered {
+                        return error;
+                    }
+                    delivering.remove(&store_id);
+                }
+            }
+        }
+    }
+
+    fn courier(&self, store_id: String) -> Courier {
+        Courier {
+            dialer: self.dialer.clone(),
+            addresses: self.addresses.clone(),
+            sender: self.sender.clone(),
+            spool: self.spool.clone(),
+            store_id,
+        }
     }
 }
 
@@ -140,6 +144,8 @@ fn next(actor_id: &str, mut addresses: Vec<String>, left: Option<&str>) -> Strin
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use super::*;
 
     #[test]

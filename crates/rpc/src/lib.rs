@@ -14,6 +14,7 @@ mod append_client;
 mod append_link;
 mod append_route;
 mod backoff;
+mod courier;
 mod dialer;
 mod environment;
 mod error;

@@ -41,6 +41,8 @@ struct Inner {
     outboxes: BTreeMap<String, Outbox>,
     /// The store that new chunks go to; empty before the first one answers.
     current: String,
+    /// How often the client turned to another store.
+    turns: u64,
     acknowledged: u64,
     given_up: usize,
     closed: bool,
@@ -53,6 +55,8 @@ struct Outbox {
     next_seq: u64,
     /// By which the store knows the sender; 0 before it answers.
     epoch: u64,
+    /// The turn in which the client left the store last.
+    left: u64,
 }
 
 impl Outbox {
@@ -103,17 +107,22 @@ impl Spool {
         true
     }
 
-    /// New chunks go to `store` from now on. Chunks of other stores stay within the bounds: beyond them the
-    /// oldest are given up. Returns how many were.
+    /// New chunks go to `store` from now on. Chunks of other stores stay within the bounds: beyond them those of the
+    /// store that was left first are given up. Returns how many were.
     pub(crate) fn turn_to(&self, store: &str) -> usize {
-        let mut inner = self.lock();
+        let mut guard = self.lock();
+        let inner = &mut *guard;
         if inner.current == store {
             return 0;
+        }
+        inner.turns += 1;
+        if let Some(outbox) = inner.outboxes.get_mut(&inner.current) {
+            outbox.left = inner.turns;
         }
         store.clone_into(&mut inner.current);
         let given_up = inner.give_up_beyond(self.bounds);
         inner.given_up += given_up;
-        drop(inner);
+        drop(guard);
         // What waits for the store before does not take up room any more.
         self.changes.send_replace(());
         given_up
@@ -182,11 +191,17 @@ impl Spool {
         self.lock().outboxes.get(store).map_or(0, Outbox::first_seq)
     }
 
-    /// Whether `store` was sent something that it did not acknowledge.
-    pub(crate) fn owes(&self, store: &str) -> bool {
+    /// The stores that were left and have not acknowledged all that they were sent.
+    pub(crate) fn left_behind(&self) -> Vec<String> {
         let inner = self.lock();
-        let outbox = inner.outboxes.get(store);
-        outbox.is_some_and(|outbox| !outbox.chunks.is_empty())
+        let left = inner.left_behind();
+        left.map(|(store, _)| store.clone()).collect()
+    }
+
+    /// Whether `store` is one of [`Spool::left_behind`].
+    pub(crate) fn is_left_behind(&self, store: &str) -> bool {
+        let inner = self.lock();
+        inner.left_behind().any(|(left, _)| left == store)
     }
 
     /// Chunks that were acknowledged.
@@ -232,24 +247,25 @@ impl Inner {
         chunks == 0 || (chunks < bounds.chunks && held_bytes + bytes <= bounds.bytes)
     }
 
+    fn left_behind(&self) -> impl Iterator<Item = (&String, &Outbox)> {
+        let stores = self.outboxes.iter();
+        stores.filter(|(store, outbox)| **store != self.current && !outbox.chunks.is_empty())
+    }
+
     fn give_up_beyond(&mut self, bounds: Bounds) -> usize {
         let mut given_up = 0;
         loop {
-            let away = || {
-                self.outboxes
-                    .iter()
-                    .filter(|(store, _)| **store != self.current)
-            };
-            let (chunks, bytes) = size(away().flat_map(|(_, outbox)| &outbox.chunks));
+            let (chunks, bytes) = size(self.left_behind().flat_map(|(_, outbox)| &outbox.chunks));
             if chunks <= bounds.chunks.max(1) && (bytes <= bounds.bytes || chunks <= 1) {
                 return given_up;
             }
-            let current = &self.current;
-            let mut others = self
-                .outboxes
-                .iter_mut()
-                .filter(|(store, _)| *store != current);
-            given_up += usize::from(others.any(|(_, outbox)| outbox.chunks.pop_front().is_some()));
+            let first_left = self.left_behind().min_by_key(|(_, outbox)| outbox.left);
+            let store = first_left
+                .map(|(store, _)| store.clone())
+                .unwrap_or_default();
+            let outbox = self.outboxes.get_mut(&store);
+            given_up +=
+                usize::from(outbox.is_some_and(|outbox| outbox.chunks.pop_front().is_some()));
         }
     }
 }

@@ -64,8 +64,9 @@ async fn what_one_store_was_sent_is_never_sent_to_another() {
     assert_eq!(sent(&spool, "a", 0), Some((0, 0)));
     assert_eq!(sent(&spool, "a", 1), Some((1, 1)));
     assert_eq!((spool.epoch("a"), spool.epoch("b")), (Some(7), None));
+    assert_eq!(spool.left_behind(), [""; 0], "the client is still there");
     assert_eq!(spool.turn_to("b"), 0);
-    assert!(spool.owes("a"));
+    assert_eq!(spool.left_behind(), ["a"]);
     assert_eq!(sent(&spool, "b", 0), Some((0, 2)), "numbered by store");
     assert_eq!(sent(&spool, "b", 1), None);
     assert_eq!(sent(&spool, "a", 1), Some((1, 1)), "kept for its store");
@@ -76,6 +77,7 @@ async fn what_one_store_was_sent_is_never_sent_to_another() {
     spool.acknowledge("a", 2).expect("sent");
     spool.acknowledge("b", 1).expect("sent");
     assert_eq!((spool.len(), spool.acknowledged()), (1, 3));
+    assert!(!spool.is_left_behind("a"), "it has all");
     assert!(spool.acknowledge("b", 2).is_err(), "never sent");
 }
 
@@ -114,6 +116,28 @@ async fn stores_that_stay_away_cost_a_bounded_number_of_chunks() {
         "the bound for those away, and the current store's"
     );
     assert_eq!((given_up, spool.given_up()), (20 - 5, 20 - 5));
+}
+
+#[tokio::test]
+async fn what_the_store_that_was_left_first_has_not_is_given_up_first() {
+    let spool = Spool::new(BOUNDS);
+    // Ids are drawn at random: their order says nothing.
+    for store in ["c", "a", "b"] {
+        spool.turn_to(store);
+        for step in 0..2 {
+            assert!(pushed(&spool, step, 1).await);
+            assert!(sent(&spool, store, step.into()).is_some());
+        }
+    }
+    assert_eq!(spool.given_up(), 1, "three of four may wait");
+    assert_eq!((spool.first_seq("c"), spool.first_seq("a")), (1, 0));
+    // Back at the first and away again: now it is the one that was left last.
+    spool.turn_to("c");
+    assert_eq!(spool.given_up(), 2);
+    assert_eq!((spool.first_seq("c"), spool.first_seq("a")), (1, 1));
+    spool.turn_to("b");
+    assert_eq!((spool.first_seq("c"), spool.first_seq("a")), (1, 1));
+    assert_eq!(spool.left_behind(), ["a", "c"]);
 }
 
 /// Store and first step of what was acknowledged.

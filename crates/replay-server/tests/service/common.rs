@@ -1,13 +1,13 @@
 //! A real server on loopback, in a runtime of its own so that it can die at any await point.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use isodream_core::{Chunk, EnvSpec, ImageShape};
 use isodream_proto::Identity;
-use isodream_replay::{Capacity, LimiterOptions, Selector, StoreOptions, Table};
+use isodream_replay::{Capacity, LimiterOptions, Selector, Store, StoreOptions, Table};
 use isodream_replay_server::{ServedTable, ServerOptions, serve};
 use isodream_rpc::{AppendClient, AppendOptions, RpcError, SampleClient, SampleOptions};
 use tokio::runtime::Runtime;
@@ -198,6 +198,28 @@ pub(crate) fn chunk(index: u64) -> Chunk {
 
 pub(crate) fn payload(index: u64) -> Bytes {
     (0..300_u64).map(|byte| (byte * 31 + index) as u8).collect()
+}
+
+/// First steps of all chunks in a folder whose server is gone.
+pub(crate) fn first_steps(folder: &Path) -> Vec<u32> {
+    let (_, store, recovery) = Store::open(folder, &StoreOptions::default()).unwrap();
+    let table = Table::new("any", Selector::Episodes);
+    let mut sampler = store.sampler(&table, STEPS, 0).unwrap();
+    let mut found = BTreeSet::new();
+    // More than enough draws to see each of the few chunks.
+    for _ in 0..recovery.chunks * 200 {
+        for place in sampler.draw().unwrap().chunks {
+            let read = place.read().unwrap();
+            assert_eq!(read.payload, payload(u64::from(read.first_step / STEPS)));
+            found.insert(read.first_step);
+        }
+    }
+    assert_eq!(
+        found.len() as u64,
+        recovery.chunks,
+        "a chunk is there twice"
+    );
+    found.into_iter().collect()
 }
 
 /// Waits until `condition` holds.

@@ -7,6 +7,7 @@ mod experience;
 mod full_disk;
 mod gaps;
 mod messages;
+mod moves;
 mod refusals;
 mod relay;
 mod shards;

@@ -1,38 +1,15 @@
 //! Several replay-servers: actors that move, a learner that draws from all.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::collections::BTreeMap;
 use std::time::Duration;
 
-use isodream_replay::{LimiterOptions, Selector, Store, StoreOptions, Table};
+use isodream_replay::LimiterOptions;
 use isodream_rpc::{AppendClient, SampleClient};
 use tokio::runtime::Runtime;
 
 use crate::common::{
-    DEADLINE, NO_LIMIT, STEPS, Server, appending, chunk, payload, sampling, until,
+    DEADLINE, NO_LIMIT, STEPS, Server, appending, chunk, first_steps, sampling, until,
 };
-
-/// First steps of all chunks in a folder whose server is gone.
-fn first_steps(folder: &Path) -> Vec<u32> {
-    let (_, store, recovery) = Store::open(folder, &StoreOptions::default()).unwrap();
-    let table = Table::new("any", Selector::Episodes);
-    let mut sampler = store.sampler(&table, STEPS, 0).unwrap();
-    let mut found = BTreeSet::new();
-    // More than enough draws to see each of the few chunks.
-    for _ in 0..recovery.chunks * 200 {
-        for place in sampler.draw().unwrap().chunks {
-            let read = place.read().unwrap();
-            assert_eq!(read.payload, payload(u64::from(read.first_step / STEPS)));
-            found.insert(read.first_step);
-        }
-    }
-    assert_eq!(
-        found.len() as u64,
-        recovery.chunks,
-        "a chunk is there twice"
-    );
-    found.into_iter().collect()
-}
 
 #[test]
 fn an_actor_moves_to_the_next_server_and_no_step_is_lost_or_stored_twice() {
