@@ -1,4 +1,4 @@
-//! kill -9, crashes inside append, roll and open, and a failed sync, while actors insert.
+//! kill -9, crashes inside append, roll and open, a failed sync and a full disk, while actors insert.
 
 use std::collections::BTreeSet;
 use std::os::unix::process::ExitStatusExt;
@@ -84,6 +84,28 @@ fn a_failed_sync_ends_the_process_with_its_code_and_loses_nothing() {
 }
 
 #[test]
+fn a_full_disk_holds_inserts_until_there_is_room() {
+    // Each try finds it full, and comes half a second later.
+    for failpoints in [
+        "append-before-write=50*off->4*return(full)->off",
+        "roll-created=1*off->4*return(full)->off",
+    ] {
+        insert_while(u64::MAX, |world| {
+            let mut server = world.start(failpoints);
+            let full = |actor: &AppendClient| {
+                let why = actor.waiting().unwrap_or_default();
+                why.contains("no space")
+            };
+            world.until("the disk is full", || world.actors.iter().any(full));
+            let held = world.check_acknowledged();
+            world.until("there is room", || !world.actors.iter().any(full));
+            world.until("inserts go on", || world.check_acknowledged() > held);
+            assert!(server.ended().is_none(), "one server, all the time");
+        });
+    }
+}
+
+#[test]
 fn a_crash_inside_eviction_loses_no_count_and_no_position() {
     insert_while(1000, |world| {
         for failpoints in [
@@ -109,6 +131,15 @@ struct World<'a> {
 impl World<'_> {
     fn start(&self, failpoints: &str) -> ServerProcess {
         ServerProcess::start(self.folder, self.address, self.capacity_steps, failpoints)
+    }
+
+    /// Waits until `condition` holds.
+    fn until(&self, what: &str, condition: impl Fn() -> bool) {
+        let since = Instant::now();
+        while !condition() {
+            assert!(since.elapsed() < DEADLINE, "waited too long: {what}");
+            std::thread::sleep(Duration::from_millis(5));
+        }
     }
 
     /// Everything that was acknowledged before is known to the server that starts now. How many chunks.
