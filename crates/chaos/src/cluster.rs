@@ -16,7 +16,7 @@ use crate::plan::{Layout, Plan};
 use crate::probe::Probe;
 use crate::role::Role;
 use crate::secrets;
-use crate::watch::{Inserts, Watch};
+use crate::watch::{Inserts, Watch, Watched};
 
 /// How long a training may take until its first updates.
 const BEGIN: Duration = Duration::from_secs(120);
@@ -44,23 +44,28 @@ impl Cluster {
     pub(crate) fn start(binary: &Path, plan: Plan) -> Result<Self> {
         let config = plan.settings.load()?;
         let folder = tempfile::tempdir()?;
+        let dialer = secrets::dialer(plan.secrets.as_deref(), Viewer)?;
         let hub = plan.network.as_ref().map(Network::hub);
-        let probe = Probe::new(
-            hub.as_deref(),
-            secrets::dialer(plan.secrets.as_deref(), Viewer)?,
-        )?;
+        let probe = Probe::new(hub.as_deref(), dialer.clone())?;
         let layout = Layout::new(&plan, folder.path())?;
+        // From its own host: what a broken link hides would count as standing still.
+        let watched = |name: &str, address: &str| -> Result<Watched> {
+            let probe = match &plan.network {
+                Some(network) => Probe::new(Some(&network.host(name)?), dialer.clone())?,
+                None => probe.clone(),
+            };
+            let address = address.to_owned();
+            Ok(Watched { probe, address })
+        };
+        let learner = watched("learner", &layout.learner)?;
+        let replays = layout.replays.iter().enumerate();
+        let replays = replays.map(|(index, address)| watched(&format!("replay-{index}"), address));
+        let replays = replays.collect::<Result<Vec<_>>>()?;
         let mut roles = BTreeMap::new();
         for spec in layout.specs(&plan, binary)? {
             roles.insert(spec.name.clone(), Role::start(spec)?);
         }
-        let watch = Watch::start(
-            probe.clone(),
-            layout.learner.clone(),
-            layout.replays.clone(),
-            config.clone(),
-            plan.streams(),
-        )?;
+        let watch = Watch::start(learner, replays, config.clone(), plan.streams())?;
         let begun = Instant::now();
         let cluster = Self {
             watch,

@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, bail};
 
-/// Address of the hub, from where everything is watched.
+/// Address of the hub, from where servers are called.
 const HUB_ADDRESS: &str = "10.77.0.254";
 
 /// Hosts that reach each other and nothing else. Dropping it removes them.
@@ -61,7 +61,17 @@ impl Network {
 
     /// The file of the hub's namespace.
     pub(crate) fn hub(&self) -> PathBuf {
-        PathBuf::from("/run/netns").join(self.namespace("hub"))
+        self.file("hub")
+    }
+
+    /// The file of the namespace of the host `name`.
+    pub(crate) fn host(&self, name: &str) -> Result<PathBuf> {
+        self.number(name)?;
+        Ok(self.file(name))
+    }
+
+    fn file(&self, name: &str) -> PathBuf {
+        PathBuf::from("/run/netns").join(self.namespace(name))
     }
 
     /// What makes a command run on the host `name`.

@@ -71,6 +71,13 @@ impl Display for Farthest {
     }
 }
 
+/// A server that is asked, from where it is asked.
+#[derive(Debug)]
+pub(crate) struct Watched {
+    pub(crate) probe: Probe,
+    pub(crate) address: String,
+}
+
 /// A thread that asks all servers again and again. Dropping it ends it.
 #[derive(Debug)]
 pub(crate) struct Watch {
@@ -93,9 +100,8 @@ pub(crate) enum Inserts {
 impl Watch {
     /// `streams` is how many append streams may write to one server.
     pub(crate) fn start(
-        probe: Probe,
-        learner: String,
-        replays: Vec<String>,
+        learner: Watched,
+        replays: Vec<Watched>,
         config: Config,
         streams: usize,
     ) -> Result<Self> {
@@ -106,7 +112,7 @@ impl Watch {
             .name("watch".into())
             .spawn(move || {
                 while !stopped.load(Ordering::Relaxed) {
-                    let look = look(&probe, &learner, &replays);
+                    let look = look(&learner, &replays);
                     seen.lock()
                         .unwrap_or_else(PoisonError::into_inner)
                         .push(look);
@@ -247,12 +253,13 @@ impl Drop for Watch {
     }
 }
 
-fn look(probe: &Probe, learner: &str, replays: &[String]) -> Look {
+fn look(learner: &Watched, replays: &[Watched]) -> Look {
     let at = Instant::now();
-    let updates = probe.learner(learner).map(|status| status.updates);
+    let status = learner.probe.learner(&learner.address);
+    let updates = status.map(|status| status.updates);
     let replays = replays
         .iter()
-        .map(|address| probe.replay(address))
+        .map(|replay| replay.probe.replay(&replay.address))
         .collect();
     Look {
         at,
