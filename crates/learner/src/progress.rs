@@ -11,6 +11,9 @@ use crate::evaluations::set_apart;
 /// Episodes whose mean is shown as the collecting score.
 const SCORE_WINDOW: usize = 10;
 
+/// Measurements, one a second or so, that rates are taken over: an update may take longer than the time between two.
+const RATE_WINDOW: usize = 10;
+
 /// Reports kept for the metrics between two visits of the training thread.
 const PENDING_REPORTS: usize = 10_000;
 
@@ -29,7 +32,8 @@ struct Inner {
     actors: BTreeMap<String, Actor>,
     pending: VecDeque<v1::EpisodeReport>,
     action_repeat: u64,
-    pace: Pace,
+    /// The newest [`RATE_WINDOW`].
+    measured: VecDeque<Measurement>,
 }
 
 #[derive(Debug)]
@@ -38,9 +42,9 @@ struct Actor {
     policy: Option<v1::PolicyVersion>,
 }
 
-/// Rates over the time since the last sample.
-#[derive(Debug)]
-struct Pace {
+/// How far the run was at one moment.
+#[derive(Debug, Clone, Copy)]
+struct Measurement {
     at: Instant,
     updates: u64,
     frames: u64,
@@ -67,11 +71,11 @@ impl Progress {
                 actors: BTreeMap::new(),
                 pending: VecDeque::new(),
                 action_repeat: u64::from(action_repeat),
-                pace: Pace {
+                measured: VecDeque::from([Measurement {
                     at: Instant::now(),
                     updates,
                     frames: env_frames,
-                },
+                }]),
             }),
         }
     }
@@ -84,16 +88,24 @@ impl Progress {
     /// Recomputes the rates, once per second or so.
     pub(crate) fn measure_pace(&self) {
         let mut inner = self.lock();
-        let Inner { pace, status, .. } = &mut *inner;
-        let elapsed = pace.at.elapsed().as_secs_f64();
-        status.updates_per_s = (status.updates - pace.updates.min(status.updates)) as f64 / elapsed;
-        status.env_frames_per_s =
-            (status.env_frames - pace.frames.min(status.env_frames)) as f64 / elapsed;
-        *pace = Pace {
+        let Inner {
+            measured, status, ..
+        } = &mut *inner;
+        let now = Measurement {
             at: Instant::now(),
             updates: status.updates,
             frames: status.env_frames,
         };
+        let first = measured.front().copied().unwrap_or(now);
+        let secs = now.at.duration_since(first.at).as_secs_f64();
+        if secs > 0.0 {
+            status.updates_per_s = now.updates.saturating_sub(first.updates) as f64 / secs;
+            status.env_frames_per_s = now.frames.saturating_sub(first.frames) as f64 / secs;
+        }
+        if measured.len() == RATE_WINDOW {
+            measured.pop_front();
+        }
+        measured.push_back(now);
     }
 
     /// Takes in an actor's report.
@@ -180,4 +192,33 @@ impl Progress {
 fn mean<'a>(values: impl ExactSizeIterator<Item = &'a f64>) -> f64 {
     let count = values.len() as f64;
     values.sum::<f64>() / count
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn a_second_without_an_update_is_no_standstill_and_ten_are() {
+        let progress = Progress::new(5, 100, 40, 4);
+        let measured = |updates| {
+            progress.set(|status| status.updates = updates);
+            std::thread::sleep(Duration::from_millis(2));
+            progress.measure_pace();
+            progress.status().updates_per_s
+        };
+        assert_eq!(measured(5), 0.0, "only what this process makes counts");
+        let moving = measured(6);
+        assert!((1.0..500.0).contains(&moving), "{moving}");
+        for _ in 2..RATE_WINDOW {
+            assert!(measured(6) > 0.0);
+        }
+        assert!(
+            measured(6) > 0.0,
+            "the measurement before the update is the oldest"
+        );
+        assert_eq!(measured(6), 0.0);
+    }
 }
