@@ -103,7 +103,7 @@ pub(super) fn run(args: &PlayArgs) -> anyhow::Result<()> {
     ))?;
     let metrics = outcome.metrics.iter();
     let metrics: Vec<_> = metrics
-        .map(|(name, value)| format!("{name} {value:.2}"))
+        .map(|(name, value)| format!("{name} {}", (value * 100.0).round() / 100.0))
         .collect();
     print(&metrics.join(", "))
 }

@@ -74,8 +74,10 @@ pub(crate) struct ReportArgs {
 pub(crate) async fn run(command: ExperimentCommand) -> anyhow::Result<()> {
     match command {
         ExperimentCommand::List => {
-            for (name, definition) in definition::all()? {
-                print(&format!("{name:<20} {}", definition.title))?;
+            let all = definition::all()?;
+            let width = all.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
+            for (name, definition) in all {
+                print(&format!("{name:<width$}  {}", definition.title))?;
             }
             Ok(())
         }
