@@ -29,10 +29,17 @@ pub(crate) fn print_result<T: Serialize>(
     json: bool,
     table: impl FnOnce(&T) -> String,
 ) -> anyhow::Result<()> {
-    let text = if json {
-        serde_json::to_string_pretty(result)?
+    if json {
+        print_json(result)
     } else {
-        table(result)
-    };
-    print(&text)
+        print(&table(result))
+    }
+}
+
+/// Prints a result for scripts.
+///
+/// # Errors
+/// As [`print_result`].
+pub(crate) fn print_json<T: Serialize>(result: &T) -> anyhow::Result<()> {
+    print(&serde_json::to_string_pretty(result)?)
 }

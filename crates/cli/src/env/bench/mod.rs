@@ -18,7 +18,7 @@ use isodream_rpc::{Role, remote_address};
 use serde::Serialize;
 
 use super::{env_config, open};
-use crate::output::{print, print_result};
+use crate::output::{print, print_json};
 use crate::security::ClientArgs;
 
 /// Simulator steps between two pictures where pictures are not to count.
@@ -92,28 +92,41 @@ pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
         return Ok(());
     }
     let threads = args.threads.map_or_else(available_parallelism, Ok)?;
-    let mut results = Vec::new();
-    for id in chosen {
-        let config = env_config(&id, &args.set)?;
-        let (mut vector_speedup, mut mb_per_environment) = (None, None);
-        if remote_address(&id).is_none() {
-            mb_per_environment = many::mb_per_environment(&id, &args.set)?;
-            vector_speedup = Some(many::speedup(&config, threads, args.seconds)?);
-        }
-        results.push(EnvBench {
-            threads: threads.get(),
-            vector_speedup,
-            mb_per_environment,
-            frames_per_s: rate(&id, 1, args)?,
-            steps_per_s: rate(&id, BLIND_REPEAT, args)?,
-            #[cfg(feature = "mujoco")]
-            peer_frames_per_s: peer_rate(&id, args)?,
-            #[cfg(not(feature = "mujoco"))]
-            peer_frames_per_s: None,
-            id,
-        });
+    if args.json {
+        let results = chosen.into_iter().map(|id| measure(id, threads, args));
+        return print_json(&results.collect::<anyhow::Result<Vec<_>>>()?);
     }
-    print_result(&results, args.json, |results| table(results))
+    // All environments take minutes: each is shown as soon as it is measured.
+    let width = chosen.iter().map(String::len).max().unwrap_or(0);
+    print(&format!(
+        "{:<width$} {:>10} {:>10} {:>8} {:>8} {:>8}",
+        "id", "frames/s", "steps/s", "peer", "speedup", "MB each"
+    ))?;
+    for id in chosen {
+        print(&row(&measure(id, threads, args)?, width))?;
+    }
+    Ok(())
+}
+
+fn measure(id: String, threads: NonZeroUsize, args: &BenchArgs) -> anyhow::Result<EnvBench> {
+    let config = env_config(&id, &args.set)?;
+    let (mut vector_speedup, mut mb_per_environment) = (None, None);
+    if remote_address(&id).is_none() {
+        mb_per_environment = many::mb_per_environment(&id, &args.set)?;
+        vector_speedup = Some(many::speedup(&config, threads, args.seconds)?);
+    }
+    Ok(EnvBench {
+        threads: threads.get(),
+        vector_speedup,
+        mb_per_environment,
+        frames_per_s: rate(&id, 1, args)?,
+        steps_per_s: rate(&id, BLIND_REPEAT, args)?,
+        #[cfg(feature = "mujoco")]
+        peer_frames_per_s: peer_rate(&id, args)?,
+        #[cfg(not(feature = "mujoco"))]
+        peer_frames_per_s: None,
+        id,
+    })
 }
 
 /// What dm_control makes of the same task, if it is to be measured and can be.
@@ -156,25 +169,17 @@ fn rate(id: &str, repeat: u32, args: &BenchArgs) -> anyhow::Result<f64> {
     Ok(steps as f64 / seconds)
 }
 
-fn table(results: &[EnvBench]) -> String {
-    let width = results.iter().map(|r| r.id.len()).max().unwrap_or(0);
-    let mut lines = vec![format!(
-        "{:<width$} {:>10} {:>10} {:>8} {:>8} {:>8}",
-        "id", "frames/s", "steps/s", "peer", "speedup", "MB each"
-    )];
-    lines.extend(results.iter().map(|result| {
-        let known = |value: Option<f64>, decimals: usize| {
-            value.map_or_else(|| "-".to_owned(), |value| format!("{value:.decimals$}"))
-        };
-        format!(
-            "{:<width$} {:>10.0} {:>10.0} {:>8} {:>8} {:>8}",
-            result.id,
-            result.frames_per_s,
-            result.steps_per_s,
-            known(result.peer_frames_per_s, 0),
-            known(result.vector_speedup, 2),
-            known(result.mb_per_environment, 1)
-        )
-    }));
-    lines.join("\n")
+fn row(result: &EnvBench, width: usize) -> String {
+    let known = |value: Option<f64>, decimals: usize| {
+        value.map_or_else(|| "-".to_owned(), |value| format!("{value:.decimals$}"))
+    };
+    format!(
+        "{:<width$} {:>10.0} {:>10.0} {:>8} {:>8} {:>8}",
+        result.id,
+        result.frames_per_s,
+        result.steps_per_s,
+        known(result.peer_frames_per_s, 0),
+        known(result.vector_speedup, 2),
+        known(result.mb_per_environment, 1)
+    )
 }
