@@ -62,8 +62,8 @@ pub(crate) fn draw(
         .x_desc("environment frames")
         .y_desc(label)
         .x_label_formatter(&|frames| format!("{frames:.0}"))
-        // Sums of steps like 0.1 are off in the last digit.
-        .y_label_formatter(&|value| ((value * 1e6).round() / 1e6).to_string())
+        // Sums of steps like 0.1 are off in the last digit, and zero has no sign.
+        .y_label_formatter(&|value| ((value * 1e6).round() / 1e6 + 0.0).to_string())
         .draw()
         .map_err(|e| failed(&e))?;
     for (index, line) in lines.iter().enumerate() {

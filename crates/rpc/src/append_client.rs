@@ -150,6 +150,13 @@ impl AppendClient {
         current.waiting()
     }
 
+    /// The stores that chunks wait for besides the one that new chunks go to, in words.
+    fn left_behind(&self) -> Option<String> {
+        let stores = self.spool.left_behind();
+        let away = || format!("the store {} has not come back", stores.join(", "));
+        (!stores.is_empty()).then(away)
+    }
+
     /// Why the client is at its end; none while it works.
     pub fn failed(&self) -> Option<RpcError> {
         self.ending.get()
@@ -205,7 +212,7 @@ impl AppendClient {
                 peer: format!("replay-server {}", self.peers),
                 chunks: self.spool.len(),
                 deadline,
-                why: self.waiting(),
+                why: self.waiting().or_else(|| self.left_behind()),
             }),
         }
     }

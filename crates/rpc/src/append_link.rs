@@ -8,7 +8,7 @@ use isodream_proto::v1::append_request::Kind;
 use isodream_proto::v1::{AppendRequest, Hello, ReplayStatusRequest};
 use isodream_proto::{Identity, v1};
 use tokio::sync::mpsc;
-use tokio::time::Instant;
+use tokio::time::{Instant, timeout};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 
@@ -100,18 +100,14 @@ impl AppendLink {
         working_at: Instant,
         achieved: &mut Achieved,
     ) -> Result<LinkEnd, Status> {
-        let patience = match self.purpose {
-            Purpose::Current(patience) => patience,
-            Purpose::Leftovers(_) => Some(STATUS_TIMEOUT),
-        };
-        let opened = match patience {
-            Some(patience) => {
+        let opened = match self.purpose {
+            Purpose::Current(Some(patience)) => {
                 match tokio::time::timeout_at(working_at + patience, self.open()).await {
                     Ok(opened) => opened,
                     Err(_) => return Ok(LinkEnd::Away),
                 }
             }
-            None => self.open().await,
+            Purpose::Current(None) | Purpose::Leftovers(_) => self.open().await,
         };
         let ended = match opened {
             Ok(opened) => {
@@ -163,11 +159,15 @@ impl AppendLink {
 
     /// The store that is there; leftovers are for one alone, and a stranger's refusal is none of it.
     async fn store_id(&self, client: &mut ReplayClient) -> Result<String, Status> {
-        let status = client.status(ReplayStatusRequest {}).await;
+        let asked = client.status(ReplayStatusRequest {});
         let Purpose::Leftovers(wanted) = &self.purpose else {
-            return Ok(status?.into_inner().store_id);
+            return Ok(asked.await?.into_inner().store_id);
         };
-        let found = status.map_err(|status| Status::unavailable(words(&status)))?;
+        // There are others to be asked. The right one may take its time with all that follows.
+        let found = timeout(STATUS_TIMEOUT, asked)
+            .await
+            .map_err(|_| Status::unavailable("no answer came"))?
+            .map_err(|status| Status::unavailable(words(&status)))?;
         let store_id = found.into_inner().store_id;
         if store_id == *wanted {
             return Ok(store_id);

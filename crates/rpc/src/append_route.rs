@@ -111,12 +111,17 @@ impl AppendRoute {
             tokio::select! {
                 // The spool lives as long as this route.
                 _ = changes.changed() => {}
-                Some(Ok((store_id, delivered))) = couriers.join_next() => {
-                    if let Err(error) = delivered {
-                        return error;
+                Some(ended) = couriers.join_next() => match ended {
+                    Ok((store_id, Ok(()))) => {
+                        delivering.remove(&store_id);
                     }
-                    delivering.remove(&store_id);
-                }
+                    Ok((_, Err(error))) => return error,
+                    Err(error) => {
+                        tracing::error!(%error, "a courier died");
+                        let peer = format!("replay-server {}", self.addresses.join(", "));
+                        return RpcError::Closed { peer };
+                    }
+                },
             }
         }
     }

@@ -10,7 +10,12 @@ use crate::limits::RECONNECT_DELAYS;
 
 /// Pauses between attempts to reconnect: growing, with jitter, without end.
 pub fn reconnect_delays() -> impl Iterator<Item = Duration> + Send {
-    builder().without_max_times().build()
+    delays(RECONNECT_DELAYS)
+}
+
+/// Pauses that grow from the first to the longest, with jitter, without end.
+pub(crate) fn delays(limits: (Duration, Duration)) -> impl Iterator<Item = Duration> + Send {
+    builder(limits).without_max_times().build()
 }
 
 /// Calls `operation` until it succeeds, is refused for good or failed `attempts` times.
@@ -23,13 +28,12 @@ where
     Fut: Future<Output = Result<T, Status>>,
 {
     operation
-        .retry(builder().with_max_times(attempts.saturating_sub(1)))
+        .retry(builder(RECONNECT_DELAYS).with_max_times(attempts.saturating_sub(1)))
         .when(|status| !is_refusal(status))
         .await
 }
 
-fn builder() -> ExponentialBuilder {
-    let (first, longest) = RECONNECT_DELAYS;
+fn builder((first, longest): (Duration, Duration)) -> ExponentialBuilder {
     ExponentialBuilder::default()
         .with_min_delay(first)
         .with_max_delay(longest)

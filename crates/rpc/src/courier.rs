@@ -5,10 +5,12 @@ use std::sync::Arc;
 use tokio::time::Instant;
 
 use crate::append_link::{Achieved, AppendLink, LinkEnd, Purpose, Sender};
+use crate::backoff::delays;
 use crate::error::words;
+use crate::limits::LEFTOVERS_DELAYS;
 use crate::link_state::LinkState;
 use crate::spool::Spool;
-use crate::{Dialer, RpcError, reconnect_delays};
+use crate::{Dialer, RpcError};
 
 /// Looks for a store wherever the client's replay-servers are, for as long as it is owed chunks: a server that comes
 /// back may have another address, and at its old one may be another store by then.
@@ -24,22 +26,34 @@ impl Courier {
     /// Returns when nothing is left to bring or the client turned to the store itself; else why the store refuses
     /// the client for good.
     pub(crate) async fn run(self) -> Result<(), RpcError> {
-        let mut delays = reconnect_delays();
-        while self.spool.is_left_behind(&self.store_id) {
+        let store_id = &self.store_id;
+        tracing::warn!(store_id, "chunks wait for a store that was left");
+        let mut pauses = delays(LEFTOVERS_DELAYS);
+        loop {
             for address in self.dialer.resolve(&self.addresses).await {
                 if self.visit(&address).await? {
-                    delays = reconnect_delays();
+                    pauses = delays(LEFTOVERS_DELAYS);
+                }
+                if !self.spool.is_left_behind(store_id) {
+                    tracing::info!(store_id, "no chunks wait for it any more");
+                    return Ok(());
                 }
             }
-            tokio::time::sleep(delays.next().unwrap_or_default()).await;
+            tokio::time::sleep(pauses.next().unwrap_or_default()).await;
         }
-        Ok(())
     }
 
     /// Whether the server at `address` acknowledged anything.
     async fn visit(&self, address: &str) -> Result<bool, RpcError> {
+        let client = match self.dialer.replay(address) {
+            Ok(client) => client,
+            Err(error) => {
+                tracing::debug!(address, %error, "leftovers wait");
+                return Ok(false);
+            }
+        };
         let link = AppendLink {
-            client: self.dialer.replay(address)?,
+            client,
             sender: self.sender.clone(),
             spool: self.spool.clone(),
             state: Arc::new(LinkState::new(address)),

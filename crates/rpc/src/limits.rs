@@ -31,6 +31,10 @@ pub const HELLO_TIMEOUT: Duration = Duration::from_secs(10);
 pub const SHUTDOWN_GRACE: Duration = Duration::from_secs(3);
 /// How long an actor's replay-server may stay away before the actor turns to the next one.
 pub const FAILOVER_AFTER: Duration = Duration::from_secs(15);
+/// First and longest pause of an actor between two rounds in which it looks for a store that it left: each asks all
+/// servers, and thousands of actors may have left the same one.
+pub const LEFTOVERS_DELAYS: (Duration, Duration) =
+    (Duration::from_millis(100), Duration::from_secs(15));
 /// How often a learner asks its replay-servers what they hold.
 pub const STATUS_INTERVAL: Duration = Duration::from_secs(1);
 /// How long such an answer may take.

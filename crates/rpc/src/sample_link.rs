@@ -76,7 +76,7 @@ impl SampleLink {
         let (requests, outbound) = mpsc::channel(self.requests_ahead);
         let (answer, wanted) = oneshot::channel();
         let found = Event::Found {
-            status,
+            status: status.clone(),
             requests,
             answer,
         };
@@ -93,6 +93,10 @@ impl SampleLink {
             .await?
             .into_inner();
         self.state.connected();
+        // Only now: what a server holds that refuses this client is none of its.
+        if !self.report(Event::Holds(status)).await {
+            return Ok(());
+        }
         tokio::select! {
             result = self.receive(&mut replies, progressed) => result,
             () = self.watch_holdings() => Ok(()),

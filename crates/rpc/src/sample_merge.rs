@@ -226,7 +226,6 @@ impl SampleMerge {
         status: ReplayStatus,
         requests: mpsc::Sender<SampleRequest>,
     ) -> bool {
-        self.watch.holds(&status);
         let store_id: Arc<str> = status.store_id.into();
         let mut servers = self.servers.values();
         if servers.any(|server| server.store_id == store_id) {

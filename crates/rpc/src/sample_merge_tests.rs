@@ -49,7 +49,7 @@ impl Bench {
             store_id: store.to_owned(),
             ..ReplayStatus::default()
         };
-        let wanted = self.merge.found(name.to_owned(), status, requests);
+        let wanted = self.merge.found(name.to_owned(), status.clone(), requests);
         let Ok(SampleRequest {
             kind: Some(Kind::Hello(hello)),
         }) = received.try_recv()
@@ -58,6 +58,7 @@ impl Bench {
             return None;
         };
         self.requests.insert(name, received);
+        self.merge.happened(name.to_owned(), Event::Holds(status));
         wanted.then_some(hello)
     }
 

@@ -24,7 +24,9 @@ pub(super) fn run(context: &Context) -> Result<Vec<Row>> {
     let secs = context.hold.as_secs();
     let mut rows = Vec::new();
     for (host, kbit_s, has_to_move) in LINKS {
-        let how = format!("tc tbf: {kbit_s} kbit/s both ways with a queue of 400 ms, for {secs} s");
+        let how = format!(
+            "tc tbf: {kbit_s} kbit/s both ways with a queue of 400 ms, for {secs} s and more"
+        );
         let mut row = Row::new(&format!("slow link of {host}, {kbit_s} kbit/s"), &how);
         row.tried = 1;
         let network = cluster

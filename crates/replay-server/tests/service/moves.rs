@@ -75,21 +75,28 @@ fn what_a_store_was_sent_is_brought_to_where_it_comes_back() {
     names.lead_to(&[&first.address, NOBODY]);
     let actor = runtime.block_on(async {
         let options = AppendOptions {
-            failover_after: Duration::from_millis(300),
+            // Enough to meet the stranger.
+            failover_after: Duration::from_secs(3),
             ..appending(NAME, 4)
         };
         AppendClient::start(&Dialer::over(Arc::new(names.clone())), options).unwrap()
     });
-    let mut sent = 0;
+    let mut sent = 1;
     runtime.block_on(async {
+        actor.send(chunk(0)).await.unwrap();
+        actor.flush(DEADLINE).await.unwrap();
         while let Ok(result) =
             tokio::time::timeout(Duration::from_secs(1), actor.send(chunk(sent))).await
         {
             result.unwrap();
             sent += 1;
         }
-        let why = actor.waiting().unwrap();
-        assert!(why.contains("learner is behind"), "{why}");
+        until("the learner is behind", || {
+            actor
+                .waiting()
+                .filter(|why| why.contains("learner is behind"))
+        })
+        .await;
     });
     let acknowledged = actor.acknowledged_chunks();
 
@@ -108,15 +115,14 @@ fn what_a_store_was_sent_is_brought_to_where_it_comes_back() {
         })
         .await;
         let flushed = actor.flush(Duration::from_secs(1)).await;
-        assert!(
-            matches!(flushed, Err(RpcError::NotFlushed { .. })),
-            "{flushed:?}"
-        );
+        let error = flushed.unwrap_err();
+        assert!(matches!(error, RpcError::NotFlushed { .. }), "{error}");
+        assert!(error.to_string().contains("not come back"), "{error}");
     });
 
     let back = Server::start(home, NO_LIMIT);
     assert_ne!(back.address, address);
-    names.lead_to(&[NOBODY, &second.address, &back.address]);
+    names.lead_to(&[NOBODY, &address, &second.address, &back.address]);
     runtime.block_on(actor.flush(DEADLINE)).unwrap();
     assert_eq!(actor.acknowledged_chunks(), sent);
     drop(actor);
@@ -171,6 +177,11 @@ fn a_stranger_at_the_address_of_a_server_that_moved_does_not_end_a_learner() {
         .await;
         assert!(why.contains(&gone), "{why}");
     });
+    assert_eq!(
+        learner.watch().inserted_steps(),
+        80,
+        "the stranger's are none of ours"
+    );
     let second = Server::start_on(&gone, other, NO_LIMIT);
     runtime.block_on(async {
         for _ in 0..20 {
