@@ -130,9 +130,14 @@ pub(crate) fn choose(names: &[String]) -> Result<Vec<&'static Scenario>> {
 /// Steps that a learner which was killed may have to draw again: those since its last whole checkpoint, which is one
 /// before the last while that is being written, and those that it had drawn ahead.
 fn rollback(cluster: &Cluster) -> u64 {
-    let learner = &cluster.config.learner;
-    let ahead = 2 * learner.prefetch_batches as u64 + 2;
-    (2 * learner.checkpoint_interval + ahead) * cluster.config.batch_steps()
+    let interval = cluster.config.learner.checkpoint_interval;
+    2 * interval * cluster.config.batch_steps() + drawn_ahead(cluster)
+}
+
+/// Steps that may be on their way to the learner, which draws them again where a connection is lost.
+fn drawn_ahead(cluster: &Cluster) -> u64 {
+    let ahead = 2 * cluster.config.learner.prefetch_batches as u64 + 2;
+    ahead * cluster.config.batch_steps()
 }
 
 /// Inserts into the store of this server, where there were some lately.

@@ -5,7 +5,7 @@ use std::time::Instant;
 use anyhow::Result;
 use rustix::process::Signal;
 
-use super::{Context, RECOVERY, finish};
+use super::{Context, RECOVERY, drawn_ahead, finish};
 use crate::cluster::Cluster;
 use crate::interrupt;
 use crate::plan::Plan;
@@ -36,9 +36,9 @@ pub(super) fn run(context: &Context) -> Result<Vec<Row>> {
         }
         rows.push(row);
     }
-    // Nobody was killed, so that nothing is drawn again.
-    let begun = cluster.begun();
-    finish(cluster, begun, 0, &mut rows)?;
+    // Nobody was killed, but the connection to a replay-server that hangs is lost, and what was on it.
+    let (begun, ahead) = (cluster.begun(), drawn_ahead(&cluster));
+    finish(cluster, begun, ahead, &mut rows)?;
     Ok(rows)
 }
 
