@@ -1,12 +1,12 @@
 //! One `Append` stream: chunks in, acknowledgements and reasons to wait out.
 
 use std::sync::Arc;
-use std::time::Duration;
 
 use isodream_core::Chunk;
 use isodream_proto::v1::append_request::Kind;
 use isodream_proto::v1::{AppendReply, AppendRequest};
 use isodream_rpc::ServiceError;
+use isodream_rpc::limits::LINGER;
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 use tonic::{Code, Status, Streaming};
@@ -14,9 +14,6 @@ use tracing::Instrument as _;
 
 use crate::commit::{Command, Position, Submission};
 use crate::state::{Admission, State, stopping};
-
-/// How long a stream that ended at shutdown is read on.
-const LINGER: Duration = Duration::from_secs(1);
 
 /// What a stream's peer has to know; the newest value counts, so nothing queues up behind a slow peer.
 #[derive(Debug, Clone, Default)]

@@ -27,6 +27,9 @@ pub const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(10);
 pub const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long a peer may take for its first message.
 pub const HELLO_TIMEOUT: Duration = Duration::from_secs(10);
+/// How long what a peer still sends is read after the last word to it: a connection that is closed with unread bytes is
+/// reset, and that word would be lost with it.
+pub const LINGER: Duration = Duration::from_secs(1);
 /// How long open streams may take to end at shutdown.
 pub const SHUTDOWN_GRACE: Duration = Duration::from_secs(3);
 /// How long an actor's replay-server may stay away before the actor turns to the next one.
@@ -34,10 +37,12 @@ pub const FAILOVER_AFTER: Duration = Duration::from_secs(15);
 /// First and longest pause of an actor between two rounds in which it looks for a store that it left: each asks all
 /// servers, and thousands of actors may have left the same one.
 pub const LEFTOVERS_DELAYS: (Duration, Duration) =
-    (Duration::from_millis(100), Duration::from_secs(15));
+    (Duration::from_secs(2), Duration::from_secs(15));
+/// The longest such pause of an actor that ends.
+pub const LAST_LEFTOVERS_DELAY: Duration = Duration::from_secs(1);
 /// How often a learner asks its replay-servers what they hold.
 pub const STATUS_INTERVAL: Duration = Duration::from_secs(1);
-/// How long such an answer may take.
+/// How long such an answer may take, and one that tells an actor which store is there.
 pub const STATUS_TIMEOUT: Duration = Duration::from_secs(5);
 /// How often a learner looks up again which replay-servers its names stand for.
 pub const RESOLVE_INTERVAL: Duration = Duration::from_secs(10);
