@@ -63,8 +63,9 @@ impl ReplayServer {
     }
 
     async fn begin(&self, hello: &Hello) -> Result<Position, ServiceError> {
-        self.check(hello.handshake.as_ref()).await?;
+        // First: who meant another store is neither refused by this one nor decides what it belongs to.
         self.state.check_store(&hello.store_id)?;
+        self.check(hello.handshake.as_ref()).await?;
         let (answer, position) = oneshot::channel();
         let hello = hello.clone();
         self.state.command(Command::Begin { hello, answer }).await?;
@@ -72,8 +73,8 @@ impl ReplayServer {
     }
 
     async fn drawer(&self, hello: &SampleHello) -> Result<(Drawer, Reign), ServiceError> {
-        self.check(hello.handshake.as_ref()).await?;
         self.state.check_store(&hello.store_id)?;
+        self.check(hello.handshake.as_ref()).await?;
         let served = self.state.tables.find(&hello.table)?;
         let (store, table) = (self.state.store.clone(), served.table.clone());
         let (length, seed) = (hello.sequence_length, hello.seed);

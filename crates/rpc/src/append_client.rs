@@ -45,8 +45,8 @@ pub struct AppendOptions {
 /// if that server never returns while this client lives; of all servers that are away, they are never more than
 /// one spool.
 /// An episode that is running at that moment is split, and the second server's part begins in its middle.
-/// The first server that a client reaches hands out its epoch, greater than any before of this actor, so that no
-/// clock of an actor's machine counts. Older processes of the same actor are fenced off at the server that the new
+/// The first server that a client reaches hands out its epoch, greater than any before of this actor as far as the
+/// servers' clocks agree, so that no clock of an actor's machine counts. Older processes of the same actor are fenced off at the server that the new
 /// one uses.
 #[derive(Debug)]
 pub struct AppendClient {
@@ -93,13 +93,13 @@ impl AppendClient {
             current.clone(),
         );
         let cancelled = cancel.clone();
-        let (closed, ended) = (spool.clone(), ending.clone());
+        let (closed, ended) = (Closed(spool.clone()), ending.clone());
         tokio::spawn(async move {
+            let _closed = closed;
             tokio::select! {
                 () = cancelled.cancelled() => {}
                 error = route.run() => ended.set(error),
             }
-            closed.close();
         });
         Ok(Self {
             actor_id,
@@ -153,8 +153,8 @@ impl AppendClient {
     /// The stores that chunks wait for besides the one that new chunks go to, in words.
     fn left_behind(&self) -> Option<String> {
         let stores = self.spool.left_behind();
-        let away = || format!("the store {} has not come back", stores.join(", "));
-        (!stores.is_empty()).then(away)
+        let left = || format!("chunks wait for the store {}", stores.join(", "));
+        (!stores.is_empty()).then(left)
     }
 
     /// Why the client is at its end; none while it works.
@@ -215,6 +215,15 @@ impl AppendClient {
                 why: self.waiting().or_else(|| self.left_behind()),
             }),
         }
+    }
+}
+
+/// Closes a spool when it is dropped, also by a panic: nobody may wait for a task that is gone.
+struct Closed(Arc<Spool>);
+
+impl Drop for Closed {
+    fn drop(&mut self) {
+        self.0.close();
     }
 }
 

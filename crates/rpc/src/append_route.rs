@@ -61,8 +61,7 @@ impl AppendRoute {
             match self.send_to(&address, patience).await {
                 LinkEnd::Refused(error) => {
                     // Whoever has taken over the address of a server that moved does not speak for it.
-                    let found = self.dialer.resolve(&self.addresses).await;
-                    if found.contains(&address) {
+                    if self.dialer.leads_to(&self.addresses, &address).await {
                         return error;
                     }
                     tracing::warn!(address, %error, "no replay-server of ours is there any more");

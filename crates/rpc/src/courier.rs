@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
-use tokio::time::Instant;
+use tokio::time::{Instant, sleep};
 
 use crate::append_link::{Achieved, AppendLink, LinkEnd, Purpose, Sender};
 use crate::backoff::delays;
 use crate::error::words;
-use crate::limits::LEFTOVERS_DELAYS;
+use crate::limits::{LAST_LEFTOVERS_DELAY, LEFTOVERS_DELAYS};
 use crate::link_state::LinkState;
 use crate::spool::Spool;
 use crate::{Dialer, RpcError};
@@ -35,11 +35,19 @@ impl Courier {
                     pauses = delays(LEFTOVERS_DELAYS);
                 }
                 if !self.spool.is_left_behind(store_id) {
-                    tracing::info!(store_id, "no chunks wait for it any more");
+                    tracing::info!(store_id, "it is not left behind any more");
                     return Ok(());
                 }
             }
-            tokio::time::sleep(pauses.next().unwrap_or_default()).await;
+            let pause = sleep(pauses.next().unwrap_or_default());
+            let hurried = async {
+                self.spool.closed().await;
+                sleep(LAST_LEFTOVERS_DELAY).await;
+            };
+            tokio::select! {
+                () = pause => {}
+                () = hurried => {}
+            }
         }
     }
 

@@ -8,6 +8,7 @@ use std::time::Duration;
 use isodream_proto::v1::environment_service_client::EnvironmentServiceClient;
 use isodream_proto::v1::learner_service_client::LearnerServiceClient;
 use isodream_proto::v1::replay_service_client::ReplayServiceClient;
+use tokio::time::timeout;
 use tonic::service::interceptor::InterceptedService;
 use tonic::transport::{Channel, Endpoint};
 use tonic_health::pb::HealthCheckRequest;
@@ -17,9 +18,9 @@ use tonic_health::pb::health_client::HealthClient;
 use crate::error::words;
 use crate::limits::{
     CONNECT_TIMEOUT, CONNECTION_WINDOW_BYTES, KEEPALIVE_INTERVAL, KEEPALIVE_TIMEOUT,
-    MAX_FRAME_BYTES, MAX_MESSAGE_BYTES, STREAM_WINDOW_BYTES,
+    MAX_FRAME_BYTES, MAX_MESSAGE_BYTES, STATUS_TIMEOUT, STREAM_WINDOW_BYTES,
 };
-use crate::network::resolve_all;
+use crate::network::{leads_to, resolve_all};
 use crate::{Bearer, Credentials, Network, RpcError, Tcp};
 
 /// A connection that shows its token with every call.
@@ -90,6 +91,12 @@ impl Dialer {
             .collect()
     }
 
+    /// Whether one of `addresses` leads to `address`, as far as that can be found out.
+    pub(crate) async fn leads_to(&self, addresses: &[String], address: &str) -> bool {
+        let looked_up = leads_to(self.network.as_ref(), addresses, address);
+        timeout(STATUS_TIMEOUT, looked_up).await.unwrap_or(true)
+    }
+
     /// The host of the name that `address` was found under, if it was.
     fn host_of(&self, address: &str) -> Option<String> {
         let names = self.names.lock().unwrap_or_else(PoisonError::into_inner);
@@ -157,7 +164,7 @@ impl Dialer {
         };
         let mut client = HealthClient::new(self.wire(address)?);
         let asked = client.check(HealthCheckRequest::default());
-        let answer = tokio::time::timeout(limit, asked)
+        let answer = timeout(limit, asked)
             .await
             .map_err(|_| unhealthy(format!("no answer came within {limit:?}")))?
             .map_err(|status| unhealthy(words(&status)))?;

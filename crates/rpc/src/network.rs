@@ -65,6 +65,20 @@ pub(crate) async fn resolve_all(
     all
 }
 
+/// Whether one of `addresses` leads to `address`, or may do so: it cannot be looked up.
+pub(crate) async fn leads_to(network: &dyn Network, addresses: &[String], address: &str) -> bool {
+    for name in addresses {
+        let is_elsewhere = match network.resolve(name.clone()).await {
+            Ok(found) => found.iter().all(|found| found.to_string() != address),
+            Err(_) => false,
+        };
+        if name == address || !is_elsewhere {
+            return true;
+        }
+    }
+    false
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -80,6 +94,7 @@ mod tests {
             let found: &[&str] = match address.as_str() {
                 "replay:1" => &["10.0.0.2:1", "10.0.0.1:1", "[fd00::1]:1"],
                 "localhost:1" => &["[::1]:1", "127.0.0.1:1"],
+                "broken:1" => return Box::pin(async { Err(io::ErrorKind::TimedOut.into()) }),
                 _ => &[],
             };
             let found = found
@@ -104,5 +119,17 @@ mod tests {
             found,
             expected.map(|(server, name)| (server.to_owned(), name.to_owned()))
         );
+    }
+
+    #[tokio::test]
+    async fn a_name_leads_where_it_says_and_anywhere_while_it_cannot_be_asked() {
+        let leads = async |names: &[&str], address| {
+            let names: Vec<_> = names.iter().map(|name| (*name).to_owned()).collect();
+            leads_to(&Names, &names, address).await
+        };
+        assert!(leads(&["replay:1"], "10.0.0.2:1").await);
+        assert!(leads(&["replay:1", "10.0.0.9:1"], "10.0.0.9:1").await);
+        assert!(!leads(&["replay:1", "localhost:1"], "10.0.0.9:1").await);
+        assert!(leads(&["replay:1", "broken:1"], "10.0.0.9:1").await);
     }
 }

@@ -89,7 +89,7 @@ impl SampleMerge {
 
     /// Returns only when a server refuses for good or nobody listens any more.
     pub(crate) async fn run(mut self) {
-        let (events, mut reports) = mpsc::channel(EVENTS);
+        let (events, mut reports) = mpsc::channel::<(String, Event)>(EVENTS);
         let mut tasks = JoinSet::new();
         let (found, mut looked_up) = mpsc::channel(1);
         tasks.spawn(look_up(
@@ -102,8 +102,7 @@ impl SampleMerge {
             tokio::select! {
                 Some((address, event)) = reports.recv() => match event {
                     Event::Refused(error) => {
-                        let addresses = self.dialer.resolve(&self.options.addresses).await;
-                        if addresses.contains(&address) {
+                        if self.dialer.leads_to(&self.options.addresses, &address).await {
                             self.watch.end(error);
                             return;
                         }

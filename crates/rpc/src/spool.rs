@@ -224,6 +224,15 @@ impl Spool {
         inner.unsent.len() + sent
     }
 
+    /// Waits until it is closed.
+    pub(crate) async fn closed(&self) {
+        let mut changes = self.changes();
+        while !self.lock().closed {
+            // The sender lives as long as this spool.
+            let _ = changes.changed().await;
+        }
+    }
+
     /// Refuses everyone who waits for room; what is queued stays.
     pub(crate) fn close(&self) {
         self.lock().closed = true;

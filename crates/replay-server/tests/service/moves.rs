@@ -117,7 +117,10 @@ fn what_a_store_was_sent_is_brought_to_where_it_comes_back() {
         let flushed = actor.flush(Duration::from_secs(1)).await;
         let error = flushed.unwrap_err();
         assert!(matches!(error, RpcError::NotFlushed { .. }), "{error}");
-        assert!(error.to_string().contains("not come back"), "{error}");
+        assert!(
+            error.to_string().contains("chunks wait for the store"),
+            "{error}"
+        );
     });
 
     let back = Server::start(home, NO_LIMIT);
