@@ -46,8 +46,8 @@ pub struct AppendOptions {
 /// one spool.
 /// An episode that is running at that moment is split, and the second server's part begins in its middle.
 /// The first server that a client reaches hands out its epoch, greater than any before of this actor as far as the
-/// servers' clocks agree, so that no clock of an actor's machine counts. Older processes of the same actor are fenced off at the server that the new
-/// one uses.
+/// servers' clocks agree, so that no clock of an actor's machine counts. Older processes of the same actor are fenced
+/// off at the server that the new one uses.
 #[derive(Debug)]
 pub struct AppendClient {
     actor_id: String,
