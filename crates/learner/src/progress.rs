@@ -210,9 +210,7 @@ mod tests {
             progress.status().updates_per_s
         };
         assert_eq!(measured(5), 0.0, "only what this process makes counts");
-        let moving = measured(6);
-        assert!((1.0..500.0).contains(&moving), "{moving}");
-        for _ in 2..RATE_WINDOW {
+        for _ in 1..RATE_WINDOW {
             assert!(measured(6) > 0.0);
         }
         assert!(

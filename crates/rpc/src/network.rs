@@ -68,11 +68,11 @@ pub(crate) async fn resolve_all(
 /// Whether one of `addresses` leads to `address`, or may do so: it cannot be looked up.
 pub(crate) async fn leads_to(network: &dyn Network, addresses: &[String], address: &str) -> bool {
     for name in addresses {
-        let is_elsewhere = match network.resolve(name.clone()).await {
-            Ok(found) => found.iter().all(|found| found.to_string() != address),
-            Err(_) => false,
+        let leads_there = match network.resolve(name.clone()).await {
+            Ok(found) => found.iter().any(|found| found.to_string() == address),
+            Err(_) => true,
         };
-        if name == address || !is_elsewhere {
+        if leads_there || name == address {
             return true;
         }
     }

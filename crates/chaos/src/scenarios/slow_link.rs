@@ -9,21 +9,16 @@ use crate::interrupt;
 use crate::table::Row;
 use crate::watch::Inserts;
 
-/// The hosts, how many kbit/s their links carry meanwhile, and whether the training has to be seen to move. All that is
-/// sampled, and the policies of all actors, go over the learner's link, over that of a replay-server half of the batches
-/// and no policy: with 256 kbit/s a learner comes to an update now and then, and has to go on when the link is whole.
-const LINKS: [(&str, u32, bool); 3] = [
-    ("replay-0", 256, true),
-    ("learner", 256, false),
-    ("learner", 1024, true),
-];
+/// The hosts, and how many kbit/s their links carry meanwhile. All that is sampled, and the policies of all actors, go over
+/// the learner's link, over that of a replay-server half of the batches and no policy.
+const LINKS: [(&str, u32); 3] = [("replay-0", 256), ("learner", 256), ("learner", 1024)];
 
 pub(super) fn run(context: &Context) -> Result<Vec<Row>> {
     let folder = tempfile::tempdir()?;
     let cluster = partition::start(context, folder.path())?;
     let secs = context.hold.as_secs();
     let mut rows = Vec::new();
-    for (host, kbit_s, has_to_move) in LINKS {
+    for (host, kbit_s) in LINKS {
         let how = format!(
             "tc tbf: {kbit_s} kbit/s both ways with a queue of 400 ms, for {secs} s and more"
         );
@@ -38,7 +33,7 @@ pub(super) fn run(context: &Context) -> Result<Vec<Row>> {
         // What was on its way and drawn ahead is used up by then.
         interrupt::sleep(context.hold / 2)?;
         let half = Instant::now();
-        let moves = has_to_move.then(|| cluster.watch.recovery(half, Inserts::Any, RECOVERY));
+        let moves = cluster.watch.recovery(half, Inserts::Any, RECOVERY);
         interrupt::sleep(context.hold.saturating_sub(begun.elapsed()))?;
         let during = cluster.watch.updates();
         network.slow(host, None)?;
@@ -47,7 +42,7 @@ pub(super) fn run(context: &Context) -> Result<Vec<Row>> {
             "{} updates meanwhile",
             during.saturating_sub(before)
         ));
-        if let Some(secs) = moves.and_then(|moves| row.take(moves)) {
+        if let Some(secs) = row.take(moves) {
             row.notes.push(format!(
                 "updates and inserts were seen to move {secs:.1} s after half of that time"
             ));
