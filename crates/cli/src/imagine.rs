@@ -48,6 +48,9 @@ pub(crate) struct ImagineArgs {
 struct Separation {
     /// Pixels that show other vehicles, of all.
     vehicle_share: f64,
+    /// Squared error of the pictures on those pixels, over that of the static branch alone: 0 is a perfect picture of the
+    /// vehicles, 1 one without them.
+    vehicle_error: f64,
     controllable: MaskRatio,
     noncontrollable: MaskRatio,
 }
@@ -110,17 +113,20 @@ pub(crate) fn run(args: &ImagineArgs) -> anyhow::Result<()> {
     if truth.is_none() {
         tracing::warn!("the environment tells of no vehicles, so that no separation is measured");
     }
-    let reconstructed = open_loop(&agent.world, &batch, LENGTH as i64);
-    let predicted = open_loop(&agent.world, &batch, CONTEXT);
-    let error = (&predicted.composition.image - batch.images.flatten(0, 1))
+    let reconstructed = open_loop(agent.world(), &batch, LENGTH as i64);
+    let predicted = open_loop(agent.world(), &batch, CONTEXT);
+    let pictures = batch.images.flatten(0, 1);
+    let error = (&predicted.composition.image - &pictures)
         .abs()
         .mean(Kind::Float);
     let report = Report {
         sequences: sequences.len(),
         reconstruction: truth
             .as_ref()
-            .map(|truth| separation(&reconstructed, truth)),
-        open_loop: truth.as_ref().map(|truth| separation(&predicted, truth)),
+            .map(|vehicle| separation(&reconstructed, &pictures, vehicle)),
+        open_loop: truth
+            .as_ref()
+            .map(|vehicle| separation(&predicted, &pictures, vehicle)),
         open_loop_error: error.double_value(&[]) * 255.0,
     };
 
@@ -156,7 +162,12 @@ fn vehicles(classes: &[u8], side: i64) -> Option<Tensor> {
     })
 }
 
-fn separation(prediction: &OpenLoop, vehicle: &Tensor) -> Separation {
+fn separation(prediction: &OpenLoop, truth: &Tensor, vehicle: &Tensor) -> Separation {
+    let error = |picture: &Tensor| {
+        let squared = (picture - truth).square() * vehicle;
+        squared.sum(Kind::Double).double_value(&[])
+    };
+    let composition = &prediction.composition;
     let other: Tensor = 1.0 - vehicle;
     let mean_over = |mask: &Tensor, area: &Tensor| {
         ((mask * area).sum(Kind::Double) / area.sum(Kind::Double)).double_value(&[])
@@ -171,6 +182,7 @@ fn separation(prediction: &OpenLoop, vehicle: &Tensor) -> Separation {
     };
     Separation {
         vehicle_share: vehicle.mean(Kind::Double).double_value(&[]),
+        vehicle_error: error(&composition.image) / error(&composition.background),
         controllable: ratio(&prediction.composition.controllable.mask),
         noncontrollable: ratio(&prediction.composition.noncontrollable.mask),
     }

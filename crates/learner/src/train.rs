@@ -313,7 +313,13 @@ impl Training {
             if saving {
                 self.save(agent)?;
                 let (frames, updates) = (self.counters.env_frames, agent.updates());
-                self.media.open_loop(frames, updates, &agent.world, &steps);
+                self.media.open_loop(frames, updates, agent.world(), &steps);
+                let inverse = agent.world().inverse_errors(&steps);
+                let errors = [
+                    ("train/inverse_seeing".to_owned(), inverse.seeing),
+                    ("train/inverse_blind".to_owned(), inverse.blind),
+                ];
+                metrics.scalars(frames, &errors)?;
                 *saved = Saved {
                     updates: agent.updates(),
                     at: Instant::now(),

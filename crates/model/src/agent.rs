@@ -1,41 +1,45 @@
 //! The learning agent: all networks, their optimisers, and one training step.
 
 mod learn_behavior;
+mod networks;
+mod share;
 
 use isodream_core::{Config, EnvSpec, derive_seed};
-use tch::{Device, Tensor};
+use tch::{Device, Kind, Tensor};
 
-use crate::attention::FutureAttention;
+use self::networks::Networks;
+use self::share::{Answer, Job, Phase, Share, Worker};
 use crate::batch::Batch;
-use crate::behavior::Critic;
 use crate::laps::{Laps, phase};
 use crate::optimizer::Adam;
-use crate::params::{LoadError, Params, tensor_of, to_safetensors};
-use crate::policy::{ActingModel, Actor, Future, Policy, attends};
-use crate::precision::product_kind;
+use crate::params::{LoadError, tensor_of, to_safetensors};
+use crate::policy::{ActingModel, Policy};
 use crate::world_model::WorldModel;
 
+/// Per update, the share of the newest returns in their running range.
+const RANGE_RATE: f64 = 0.02;
+
 /// World model, actor, critic and attention with everything that training them needs.
+///
+/// With `learner.workers` above 1, several threads compute the gradients of an update, each for its share of the batch's
+/// sequences, over one set of weights. The update is the mean of theirs; free nats are counted in each share by itself.
 #[derive(Debug)]
 pub struct Agent {
-    /// The decoupled world model.
-    pub world: WorldModel,
-    actor: Actor,
-    critic: Critic,
-    slow_critic: Critic,
-    attention: Option<FutureAttention>,
-    groups: Groups,
+    share: Share,
+    workers: Vec<Worker>,
+    optimizers: Optimizers,
+    /// Running mean of the range of imagined returns, from 0 on: `[]`.
+    return_range: Tensor,
     acting_names: Vec<String>,
     config: Config,
     updates: u64,
 }
 
 #[derive(Debug)]
-struct Groups {
-    world: (Params, Adam),
-    actor: (Params, Adam),
-    critic: (Params, Adam),
-    slow_critic: Params,
+struct Optimizers {
+    world: Adam,
+    actor: Adam,
+    critic: Adam,
 }
 
 /// A metric of one update; reading the tensor waits for the device.
@@ -46,42 +50,26 @@ impl Agent {
     pub fn new(config: &Config, spec: &EnvSpec, device: Device) -> Self {
         tch::manual_seed(derive_seed(config.seed, &["agent"]) as i64);
         let action_dim = spec.action_dim as i64;
-        let model = &config.model;
-
-        let products = product_kind(config.learner.precision, device);
-        let group = || Params::multiplied_in(products, device);
-        let mut world_params = group();
-        let world = WorldModel::new(world_params.root("world_model"), config, action_dim);
-        world_params.flatten();
-        let mut actor_params = group();
-        let actor = Actor::new(actor_params.root("actor"), config, action_dim);
-        actor_params.flatten();
-        let mut critic_params = group();
-        let critic = Critic::new(critic_params.root("critic"), config);
-        let attention =
-            attends(config).then(|| FutureAttention::new(critic_params.root("attention"), model));
-        critic_params.flatten();
-        let mut slow_params = group();
-        let slow_critic = Critic::new(slow_params.root("slow_critic"), config);
-        slow_params.flatten();
-
+        let networks = Networks::new(config, action_dim, device);
+        let params = &networks.params;
         let optimizer = &config.optimizer;
-        let with_adam = |params: Params, lr: f64| {
-            let adam = Adam::new(&params, lr, optimizer);
-            (params, adam)
+        let optimizers = Optimizers {
+            world: Adam::new(&params.world, optimizer.model_lr, optimizer),
+            actor: Adam::new(&params.actor, optimizer.actor_lr, optimizer),
+            critic: Adam::new(&params.critic, optimizer.critic_lr, optimizer),
+        };
+        // A GPU is one worker by itself.
+        let threads = match device {
+            Device::Cpu => config.learner.workers,
+            _ => 1,
         };
         Self {
-            world,
-            actor,
-            critic,
-            slow_critic,
-            attention,
-            groups: Groups {
-                world: with_adam(world_params, optimizer.model_lr),
-                actor: with_adam(actor_params, optimizer.actor_lr),
-                critic: with_adam(critic_params, optimizer.critic_lr),
-                slow_critic: slow_params,
-            },
+            workers: (1..threads)
+                .map(|_| Worker::start(&networks, config, action_dim))
+                .collect(),
+            share: Share::new(networks),
+            optimizers,
+            return_range: Tensor::zeros([], (Kind::Float, device)),
             acting_names: ActingModel::new(config, spec.action_dim, Device::Cpu)
                 .names()
                 .map(str::to_owned)
@@ -96,25 +84,24 @@ impl Agent {
         self.updates
     }
 
+    /// The decoupled world model.
+    pub fn world(&self) -> &WorldModel {
+        &self.share.networks.world
+    }
+
     /// Number of scalars in (world model, actor, critic with attention).
     pub fn parameter_counts(&self) -> (usize, usize, usize) {
-        let groups = &self.groups;
+        let params = &self.share.networks.params;
         (
-            groups.world.0.numel(),
-            groups.actor.0.numel(),
-            groups.critic.0.numel(),
+            params.world.numel(),
+            params.actor.numel(),
+            params.critic.numel(),
         )
     }
 
     /// The policy over the newest weights.
     pub fn policy(&self) -> Policy<'_> {
-        Policy {
-            rssm: &self.world.rssm,
-            future: Future::of(&self.config, self.attention.as_ref()),
-            actor: &self.actor,
-            indicator: self.config.model.indicator,
-            window: self.config.behavior.rollout_window,
-        }
+        self.share.networks.policy()
     }
 
     /// One training step: representation learning, then behaviour learning.
@@ -126,29 +113,24 @@ impl Agent {
 
     /// [`Self::update`] with its phases measured.
     pub fn measured_update(&mut self, batch: &Batch, laps: &mut Laps) -> Vec<Metric> {
-        let seed = derive_seed(self.config.seed, &["update", &self.updates.to_string()]);
-        tch::manual_seed(seed as i64);
-        if self
-            .updates
-            .is_multiple_of(self.config.behavior.slow_critic_interval)
-        {
-            let Groups {
-                critic,
-                slow_critic,
-                ..
-            } = &mut self.groups;
-            let values = critic.0.flat().narrow(0, 0, slow_critic.numel() as i64);
-            tch::no_grad(|| slow_critic.flat().shallow_clone().copy_(&values));
-        }
-
-        let model = self.world.loss(batch, laps);
-        let mut metrics = model.terms;
-        let (params, adam) = &mut self.groups.world;
-        metrics.push(("train/grad_norm/model", adam.minimize(&model.total, params)));
+        self.move_slow_critic();
+        let shares = batch.split(1 + self.workers.len());
+        let weights: Vec<f64> = shares
+            .iter()
+            .map(|share| share.sequences() as f64 / batch.sequences() as f64)
+            .collect();
+        let world = shares.into_iter().map(Phase::World).collect();
+        let Answer {
+            gradients,
+            mut metrics,
+        } = self.compute("update", world, &weights, laps);
+        let params = &self.share.networks.params;
+        let norm = self.optimizers.world.step(&params.world, &gradients[0]);
+        metrics.push(("train/grad_norm/model", norm));
         laps.lap(phase::WORLD_MODEL_BACKWARD);
 
         if self.updates >= self.config.behavior.warmup_updates {
-            metrics.extend(self.learn_behavior(&model.states, laps));
+            metrics.extend(self.learn_behavior(&weights, laps));
         }
         self.updates += 1;
         for (_, tensor) in &mut metrics {
@@ -157,10 +139,104 @@ impl Agent {
         metrics
     }
 
+    /// Behaviour learning from the states of the same sequences (Alg. 1, lines 8-14).
+    fn learn_behavior(&mut self, weights: &[f64], laps: &mut Laps) -> Vec<Metric> {
+        let steps = self.behavior_steps(self.updates);
+        let return_scale = self.return_scale(steps);
+        let behavior = weights
+            .iter()
+            .map(|_| Phase::Behavior(return_scale.as_ref().map(Tensor::shallow_clone)))
+            .collect();
+        let Answer {
+            gradients,
+            mut metrics,
+        } = self.compute("imagine", behavior, weights, laps);
+        for (name, range) in &metrics {
+            if *name == "train/return_range" {
+                let _ = self.return_range.lerp_(range, RANGE_RATE);
+            }
+        }
+        let params = &self.share.networks.params;
+        let norm = self.optimizers.actor.step(&params.actor, &gradients[0]);
+        metrics.push(("train/grad_norm/actor", norm));
+        laps.lap(phase::ACTOR_BACKWARD);
+        let norm = self.optimizers.critic.step(&params.critic, &gradients[1]);
+        metrics.push(("train/grad_norm/critic", norm));
+        laps.lap(phase::CRITIC_BACKWARD);
+        metrics
+    }
+
+    /// What returns are divided by: their running range, 1 at the least. `None` where they are not divided, or where
+    /// there is no range yet.
+    fn return_scale(&self, steps: u64) -> Option<Tensor> {
+        let normalize = self.config.behavior.normalize_returns && steps > 0;
+        normalize.then(|| {
+            let weight = 1.0 - (1.0 - RANGE_RATE).powi(steps.min(100_000) as i32);
+            (&self.return_range / weight).clamp_min(1.0)
+        })
+    }
+
+    /// Every thread does its share of a phase; the mean over all sequences.
+    fn compute(
+        &mut self,
+        noise: &str,
+        phases: Vec<Phase>,
+        weights: &[f64],
+        laps: &mut Laps,
+    ) -> Answer {
+        let update = self.updates.to_string();
+        let seed =
+            |share: usize| derive_seed(self.config.seed, &[noise, &update, &share.to_string()]);
+        let mut jobs =
+            phases
+                .into_iter()
+                .zip(weights)
+                .enumerate()
+                .map(|(share, (phase, &weight))| Job {
+                    phase,
+                    weight,
+                    seed: seed(share),
+                });
+        let own = jobs.next().expect("a batch has a sequence");
+        // A batch may be too small for every worker.
+        let mut working = Vec::new();
+        for (worker, job) in self.workers.iter().zip(jobs) {
+            worker.begin(job);
+            working.push(worker);
+        }
+        let mut sum = self.share.work(own, laps);
+        for worker in working {
+            sum.add(worker.finish());
+        }
+        sum
+    }
+
+    /// Moves the slow critic towards the critic, wholly or in part.
+    fn move_slow_critic(&mut self) {
+        let behavior = &self.config.behavior;
+        if !self.updates.is_multiple_of(behavior.slow_critic_interval) {
+            return;
+        }
+        let params = &self.share.networks.params;
+        let slow = params.slow_critic.flat();
+        let newest = params.critic.flat().narrow(0, 0, slow.numel() as i64);
+        // The first time wholly, so that both begin alike.
+        let fraction = if self.updates == 0 {
+            1.0
+        } else {
+            behavior.slow_critic_fraction
+        };
+        let _ = tch::no_grad(|| slow.shallow_clone().lerp_(&newest, fraction));
+    }
+
+    /// Steps of actor and critic after so many updates.
+    fn behavior_steps(&self, updates: u64) -> u64 {
+        updates.saturating_sub(self.config.behavior.warmup_updates)
+    }
+
     /// The weights that acting needs, as safetensors bytes.
     pub fn publish(&self) -> Vec<u8> {
-        let groups = &self.groups;
-        let all = [&groups.world.0, &groups.actor.0, &groups.critic.0];
+        let all = self.share.networks.params.all();
         let entries = all.iter().flat_map(|params| params.entries());
         to_safetensors(
             entries
@@ -180,14 +256,8 @@ impl Agent {
             let mut words = name.split('.');
             parts.is_empty() || words.any(|word| parts.iter().any(|part| part == word))
         };
-        let groups = &mut self.groups;
         let mut taken = 0;
-        for params in [
-            &mut groups.world.0,
-            &mut groups.actor.0,
-            &mut groups.critic.0,
-            &mut groups.slow_critic,
-        ] {
+        for params in self.share.networks.params.all_mut() {
             taken += params.load_where(&file, wanted)?;
         }
         Ok(taken)
@@ -195,21 +265,15 @@ impl Agent {
 
     /// All weights, as safetensors bytes with the names of the parameters.
     pub fn save_model(&self) -> Vec<u8> {
-        let groups = &self.groups;
-        let all = [
-            &groups.world.0,
-            &groups.actor.0,
-            &groups.critic.0,
-            &groups.slow_critic,
-        ];
+        let all = self.share.networks.params.all();
         let entries = all.iter().flat_map(|params| params.entries());
         to_safetensors(entries.map(|(name, tensor)| (name.as_str(), tensor)))
     }
 
-    /// Adam's moments, as safetensors bytes: `<group>.first` and `<group>.second`, flat in the order of the
-    /// group's parameters.
+    /// What else training goes on from, as safetensors bytes: Adam's moments, `<group>.first` and `<group>.second`, flat
+    /// in the order of the group's parameters, and `return_range`.
     pub fn save_optimizer(&self) -> Vec<u8> {
-        let tensors: Vec<(String, &Tensor)> = self
+        let mut tensors: Vec<(String, &Tensor)> = self
             .optimizers()
             .into_iter()
             .flat_map(|(name, adam)| {
@@ -219,6 +283,7 @@ impl Agent {
                 ]
             })
             .collect();
+        tensors.push((RETURN_RANGE.to_owned(), &self.return_range));
         to_safetensors(
             tensors
                 .iter()
@@ -233,42 +298,49 @@ impl Agent {
     /// [`LoadError`] where the bytes are damaged or of another model.
     pub fn load(&mut self, model: &[u8], optimizer: &[u8], updates: u64) -> Result<(), LoadError> {
         let file = safetensors::SafeTensors::deserialize(model)?;
-        let behavior_steps = updates.saturating_sub(self.config.behavior.warmup_updates);
-        let groups = &mut self.groups;
-        for params in [
-            &mut groups.world.0,
-            &mut groups.actor.0,
-            &mut groups.critic.0,
-            &mut groups.slow_critic,
-        ] {
+        let behavior_steps = self.behavior_steps(updates);
+        for params in self.share.networks.params.all_mut() {
             params.load(&file)?;
         }
         let file = safetensors::SafeTensors::deserialize(optimizer)?;
+        let optimizers = &mut self.optimizers;
         for (name, adam, steps) in [
-            ("world_model", &mut groups.world.1, updates),
-            ("actor", &mut groups.actor.1, behavior_steps),
-            ("critic", &mut groups.critic.1, behavior_steps),
+            ("world_model", &mut optimizers.world, updates),
+            ("actor", &mut optimizers.actor, behavior_steps),
+            ("critic", &mut optimizers.critic, behavior_steps),
         ] {
             for (part, tensor) in [("first", &mut adam.first), ("second", &mut adam.second)] {
-                let name = format!("{name}.{part}");
-                let view = file
-                    .tensor(&name)
-                    .map_err(|_| LoadError::Missing(name.clone()))?;
-                tensor.copy_(&tensor_of(&name, &view, &tensor.size())?);
+                copy_from(&file, &format!("{name}.{part}"), tensor)?;
             }
             adam.steps = steps;
         }
+        copy_from(&file, RETURN_RANGE, &mut self.return_range)?;
         self.updates = updates;
         Ok(())
     }
 
     fn optimizers(&self) -> [(&'static str, &Adam); 3] {
         [
-            ("world_model", &self.groups.world.1),
-            ("actor", &self.groups.actor.1),
-            ("critic", &self.groups.critic.1),
+            ("world_model", &self.optimizers.world),
+            ("actor", &self.optimizers.actor),
+            ("critic", &self.optimizers.critic),
         ]
     }
+}
+
+/// Where the range of returns lies among the optimisers' moments.
+const RETURN_RANGE: &str = "return_range";
+
+fn copy_from(
+    file: &safetensors::SafeTensors<'_>,
+    name: &str,
+    tensor: &mut Tensor,
+) -> Result<(), LoadError> {
+    let view = file
+        .tensor(name)
+        .map_err(|_| LoadError::Missing(name.to_owned()))?;
+    tensor.copy_(&tensor_of(name, &view, &tensor.size())?);
+    Ok(())
 }
 
 #[cfg(test)]
@@ -321,7 +393,7 @@ mod tests {
             "loss.discount_scale=23",
             "model.discount_head=true",
         ]);
-        let loss = agent.world.loss(&batch, &mut Laps::off());
+        let loss = agent.world().loss(&batch, &mut Laps::off());
         let term = |name: &str| {
             let (_, value) = loss
                 .terms
@@ -347,7 +419,7 @@ mod tests {
     fn without_actions_the_variance_constraints_see_equal_outcomes() {
         let (agent, mut batch) = agent(&[]);
         batch.actions = batch.actions.zeros_like();
-        let terms = agent.world.loss(&batch, &mut Laps::off()).terms;
+        let terms = agent.world().loss(&batch, &mut Laps::off()).terms;
         let term = |name: &str| {
             let (_, value) = terms.iter().find(|(n, _)| *n == name).expect("a term");
             value.double_value(&[])

@@ -21,14 +21,33 @@ pub struct Batch {
 }
 
 impl Batch {
+    /// Sequences (B).
+    pub fn sequences(&self) -> i64 {
+        self.images.size()[0]
+    }
+
     /// A view of its first `sequences`.
     pub fn first(&self, sequences: i64) -> Self {
-        let first = |x: &Tensor| x.narrow(0, 0, sequences.min(x.size()[0]));
+        self.rows(0, sequences.min(self.sequences()))
+    }
+
+    /// Views of at most `parts` parts, as equal as can be and none of them empty.
+    pub fn split(&self, parts: usize) -> Vec<Self> {
+        let total = self.sequences();
+        let parts = (parts as i64).clamp(1, total);
+        let end = |part: i64| total * part / parts;
+        (0..parts)
+            .map(|part| self.rows(end(part), end(part + 1) - end(part)))
+            .collect()
+    }
+
+    fn rows(&self, first: i64, count: i64) -> Self {
+        let rows = |x: &Tensor| x.narrow(0, first, count);
         Self {
-            images: first(&self.images),
-            actions: first(&self.actions),
-            rewards: first(&self.rewards),
-            discounts: first(&self.discounts),
+            images: rows(&self.images),
+            actions: rows(&self.actions),
+            rewards: rows(&self.rewards),
+            discounts: rows(&self.discounts),
         }
     }
 }

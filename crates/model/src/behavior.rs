@@ -4,8 +4,10 @@ use isodream_core::Config;
 use isodream_core::config::BehaviorConfig;
 use tch::{Kind, Tensor};
 
+use crate::distribution::saturation;
 use crate::losses::HALF_LOG_2PI;
 use crate::nn::Mlp;
+use crate::noise::choose;
 use crate::params::Scope;
 use crate::policy::{Policy, feat_width};
 use crate::rssm::{State, stack};
@@ -46,6 +48,8 @@ pub struct Imagined {
     pub actions: Tensor,
     /// Policy entropies at the states, `[H - 1, N]`.
     pub entropies: Tensor,
+    /// How far the actor's outputs lie in the flat ends of `tanh` ([`saturation`]), `[H - 1, N]`.
+    pub saturations: Tensor,
 }
 
 /// Imagines `H` states from detached starts, acting by `policy` on features cut from the graph.
@@ -64,11 +68,14 @@ pub fn imagine(
     let mut states = Vec::new();
     let mut actions = Vec::new();
     let mut entropies = Vec::new();
+    let mut saturations = Vec::new();
     for t in 0..horizon {
         let lookahead = policy.look_ahead(&state);
         let feat = policy.feat(&state, &lookahead);
         let next = (t + 1 < horizon).then(|| {
-            let distribution = policy.actor.forward(&feat.detach());
+            let raw = policy.actor.raw(&feat.detach());
+            saturations.push(saturation(&raw));
+            let distribution = policy.actor.distribution(&raw);
             entropies.push(distribution.entropy());
             let action = distribution.sample();
             actions.push(action.shallow_clone());
@@ -101,6 +108,7 @@ pub fn imagine(
         discounts,
         actions: Tensor::stack(&actions, 0),
         entropies: Tensor::stack(&entropies, 0),
+        saturations: Tensor::stack(&saturations, 0),
     }
 }
 
@@ -144,6 +152,17 @@ pub fn actor_loss(
     -(weights * (returns + entropies * entropy_scale)).mean(Kind::Float)
 }
 
+/// The range of imagined returns without their outliers: from the 5th to the 95th percentile (DreamerV3), detached.
+///
+/// # Shapes
+/// `[..] -> []`
+pub fn return_range(returns: &Tensor) -> Tensor {
+    let sorted = returns.detach().flatten(0, -1).sort(0, false).0;
+    let last = sorted.size()[0] - 1;
+    let at = |share: f64| sorted.get((share * last as f64).round() as i64);
+    at(0.95) - at(0.05)
+}
+
 /// `mean w_t 0.5 (v(e_t) - sg G_t)^2` plus the constant of a unit Gaussian.
 pub fn critic_loss(values: &Tensor, returns: &Tensor, weights: &Tensor) -> Tensor {
     let nll = (values - returns.detach()).square() * 0.5 + HALF_LOG_2PI;
@@ -159,7 +178,20 @@ pub fn starts(states: &State, config: &Config) -> State {
     }
     let rows = flat.controllable.stoch.size()[0];
     let kept = ((rows as f64 * share).ceil() as i64).max(1);
-    let chosen =
-        Tensor::randperm(rows, (Kind::Int64, flat.controllable.stoch.device())).narrow(0, 0, kept);
+    let chosen = choose(rows, kept, flat.controllable.stoch.device());
     flat.map(|x| x.index_select(0, &chosen))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_range_of_returns_leaves_outliers_out() {
+        // 0, 1, .., 100 in any order, two of them far away.
+        let mut numbers: Vec<f32> = (0..101).map(|n| ((n * 37) % 101) as f32).collect();
+        numbers[0] = -1e6;
+        let returns = Tensor::from_slice(&numbers);
+        assert_eq!(return_range(&returns).double_value(&[]), 90.0);
+    }
 }

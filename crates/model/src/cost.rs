@@ -31,7 +31,12 @@ impl UpdateCost {
             macs.encoder_rest + macs.observe,
             macs.hypothetical + macs.heads,
         );
-        let projected = 2.0 * macs.projection;
+        // Only some frames are decoded.
+        let shown = (config.loss.decoded_share * length)
+            .ceil()
+            .clamp(1.0, length)
+            / length;
+        let projected = 2.0 * shown * macs.projection;
         let starts = (frames * config.behavior.start_share).ceil().max(1.0);
         let states = config.behavior.imagination_horizon as f64;
         let steps = states - 1.0;
@@ -45,7 +50,7 @@ impl UpdateCost {
                 (phase::ENCODE, world(macs.first_conv + encode)),
                 (
                     phase::DECODE,
-                    world(background + projected + 6.0 * macs.upsampling),
+                    world(background + projected + 6.0 * shown * macs.upsampling),
                 ),
                 (phase::LOSSES, world(losses)),
                 // The first convolution's input is the image, which needs no gradient.
@@ -125,10 +130,19 @@ impl Macs {
         let tail = conv(6.0, 2.0 * depth, 4.0 * depth) + conv(2.0, 4.0 * depth, 8.0 * depth);
         let projection =
             |inputs: f64| inputs * 32.0 * depth + fold(1.0, 5.0, 32.0 * depth, 4.0 * depth);
+        let small = config.env.image_size == 32;
         let upsampling = |channels: f64| {
+            if small {
+                return fold(5.0, 6.0, 4.0 * depth, depth) + fold(14.0, 6.0, depth, channels);
+            }
             fold(5.0, 5.0, 4.0 * depth, 2.0 * depth)
                 + fold(13.0, 6.0, 2.0 * depth, depth)
                 + fold(30.0, 6.0, depth, channels)
+        };
+        let (first_conv, second_conv) = if small {
+            (conv(15.0, 3.0, 2.0 * depth), 0.0)
+        } else {
+            (conv(31.0, 3.0, depth), conv(14.0, depth, 2.0 * depth))
         };
         let transition = (stoch + action) * hidden + (hidden + deter) * 3.0 * deter;
         let prior = deter * hidden + hidden * 2.0 * stoch;
@@ -143,6 +157,7 @@ impl Macs {
         let inverse_feat = match model.inverse {
             InverseInput::Posterior => 2.0 * stoch,
             InverseInput::EmbedDiff => embed,
+            InverseInput::Embed => 2.0 * embed,
         };
         let discount = if model.discount_head {
             mlp(head_feat, model.discount_layers, 1.0)
@@ -201,8 +216,8 @@ impl Macs {
             imagined_step.critic_backward += 2.0 * project - feat * dim + read + first;
         }
         Self {
-            first_conv: conv(31.0, 3.0, depth),
-            encoder_rest: conv(14.0, depth, 2.0 * depth) + 2.0 * tail,
+            first_conv,
+            encoder_rest: second_conv + 2.0 * tail,
             tail,
             projection: projection(feat),
             upsampling: upsampling(4.0),

@@ -7,34 +7,43 @@ use crate::encoder::{Tail, embed_dim};
 use crate::nn::{ConvTranspose, Linear, elu, from_phases};
 use crate::params::Scope;
 
-/// A linear layer and four transposed convolutions: features to a 64x64 picture in four phases, the form in
-/// which the last layer is fastest; everything after it works pixel by pixel and does not care. Numbers and memory
-/// layout of the result are the last layer's own.
+/// A linear layer and transposed convolutions, four for a picture of 64x64 and three for one of 32x32: features to a
+/// picture in four phases, the form in which the last layer is fastest; everything after it works pixel by pixel and
+/// does not care. Numbers and memory layout of the result are the last layer's own.
 #[derive(Debug)]
 pub struct ImageDecoder {
     input: Linear,
     t0: ConvTranspose,
-    t1: ConvTranspose,
+    /// Absent for pictures of 32x32.
+    t1: Option<ConvTranspose>,
     t2: ConvTranspose,
     t3: ConvTranspose,
 }
 
 impl ImageDecoder {
-    /// From `inputs` features to `channels`.
-    pub fn new(mut scope: Scope<'_>, config: &ModelConfig, inputs: i64, channels: i64) -> Self {
+    /// From `inputs` features to `channels` of `side` rows and columns, 32 or 64.
+    pub fn new(
+        mut scope: Scope<'_>,
+        config: &ModelConfig,
+        side: i64,
+        inputs: i64,
+        channels: i64,
+    ) -> Self {
         let depth = config.cnn_depth;
         let width = 32 * depth;
+        let wide = side != 32;
+        let t2_inputs = if wide { 2 * depth } else { 4 * depth };
         Self {
             input: Linear::new(scope.sub("input"), inputs, width),
             t0: ConvTranspose::new(scope.sub("t0"), width, 4 * depth, 5),
-            t1: ConvTranspose::new(scope.sub("t1"), 4 * depth, 2 * depth, 5),
-            t2: ConvTranspose::new(scope.sub("t2"), 2 * depth, depth, 6),
+            t1: wide.then(|| ConvTranspose::new(scope.sub("t1"), 4 * depth, 2 * depth, 5)),
+            t2: ConvTranspose::new(scope.sub("t2"), t2_inputs, depth, 6),
             t3: ConvTranspose::new(scope.sub("t3"), depth, channels, 6),
         }
     }
 
     /// # Shapes
-    /// `[N, inputs] -> [N, 32, 32, 4 channels]`
+    /// `[N, inputs] -> [N, side / 2, side / 2, 4 channels]`
     pub fn forward(&self, feat: &Tensor) -> Tensor {
         self.upsample(&self.project(feat))
     }
@@ -49,17 +58,21 @@ impl ImageDecoder {
     }
 
     fn upsampling_parameters(&self) -> impl Iterator<Item = &Tensor> {
-        [&self.t1, &self.t2, &self.t3]
-            .into_iter()
+        self.t1
+            .iter()
+            .chain([&self.t2, &self.t3])
             .flat_map(|layer| [&layer.weight, &layer.bias])
     }
 
     /// The layers with most of the feature maps and few parameters.
     ///
     /// # Shapes
-    /// `[N, 4 depth, 5, 5] -> [N, 32, 32, 4 channels]`
+    /// `[N, 4 depth, 5, 5] -> [N, side / 2, side / 2, 4 channels]`
     fn upsample(&self, projected: &Tensor) -> Tensor {
-        let x = elu(self.t1.forward(projected));
+        let x = match &self.t1 {
+            Some(t1) => elu(t1.forward(projected)),
+            None => projected.shallow_clone(),
+        };
         let x = elu(self.t2.forward(&x));
         self.t3.forward_phases(&x)
     }
@@ -106,7 +119,7 @@ fn to_channels(phases: &Tensor) -> Tensor {
     phases.unflatten(1, [phases.size()[1] / 4, 4])
 }
 
-/// A reconstruction and what it is made of, in phases (`[B, T, C, 4, 32, 32]`) or as pictures.
+/// A reconstruction and what it is made of, in phases (`[B, T, C, 4, side / 2, side / 2]`) or as pictures.
 #[derive(Debug)]
 pub struct Composition {
     /// `o_hat`: 3 channels.
@@ -120,7 +133,7 @@ pub struct Composition {
 }
 
 impl Composition {
-    /// Phases put together: `[B T, C, 64, 64]`.
+    /// Phases put together: `[B T, C, side, side]`.
     pub fn pictures(&self) -> Self {
         let picture = |phases: &Tensor| from_phases(phases).flatten(0, 1);
         Self {
@@ -161,12 +174,13 @@ pub struct Background {
 
 impl Background {
     /// The static branch of `config`.
-    pub fn new(mut scope: Scope<'_>, config: &ModelConfig) -> Self {
+    pub fn new(mut scope: Scope<'_>, config: &ModelConfig, side: i64) -> Self {
         Self {
             tail: Tail::new(scope.sub("encoder"), config, 0),
             decoder: ImageDecoder::new(
                 scope.sub("decoder"),
                 config,
+                side,
                 config.background_frames * embed_dim(config),
                 3,
             ),
@@ -175,7 +189,7 @@ impl Background {
     }
 
     /// # Shapes
-    /// `stem: [B, T, 2 depth, 14, 14]` with `T >= K` `-> [B, 3, 4, 32, 32]`
+    /// `stem: [B, T, 2 depth, ..]` with `T >= K` `-> [B, 3, 4, side / 2, side / 2]`
     pub fn forward(&self, stem: &Tensor) -> Tensor {
         let first = stem.narrow(1, 0, self.frames);
         let embed = self.tail.forward(&first.flatten(0, 1), None);
@@ -191,18 +205,20 @@ pub struct Decoder {
     noncontrollable: ImageDecoder,
     background: Option<Background>,
     branches: Branches,
+    side: i64,
 }
 
 impl Decoder {
-    /// The decoders of `config`.
-    pub fn new(mut scope: Scope<'_>, config: &ModelConfig) -> Self {
+    /// The decoders of `config` for pictures of `side` rows and columns.
+    pub fn new(mut scope: Scope<'_>, config: &ModelConfig, side: i64) -> Self {
         let feat = config.stoch + config.deter;
         let decoder = Self {
-            controllable: ImageDecoder::new(scope.sub("controllable"), config, feat, 4),
-            noncontrollable: ImageDecoder::new(scope.sub("noncontrollable"), config, feat, 4),
+            controllable: ImageDecoder::new(scope.sub("controllable"), config, side, feat, 4),
+            noncontrollable: ImageDecoder::new(scope.sub("noncontrollable"), config, side, feat, 4),
             background: (config.branches == Branches::All)
-                .then(|| Background::new(scope.sub("background"), config)),
+                .then(|| Background::new(scope.sub("background"), config, side)),
             branches: config.branches,
+            side,
         };
         if config.mask_bias != 0.0 {
             for branch in [&decoder.controllable, &decoder.noncontrollable] {
@@ -215,11 +231,17 @@ impl Decoder {
     /// The static branch's picture, black where there is none.
     ///
     /// # Shapes
-    /// `stem: [B, T, 2 depth, 14, 14]` `-> [B, 3, 4, 32, 32]`
+    /// `stem: [B, T, 2 depth, ..]` `-> [B, 3, 4, side / 2, side / 2]`
     pub fn background(&self, stem: &Tensor) -> Tensor {
         match &self.background {
             Some(background) => background.forward(stem),
-            None => Tensor::zeros([stem.size()[0], 3, 4, 32, 32], (Kind::Float, stem.device())),
+            None => {
+                let half = self.side / 2;
+                Tensor::zeros(
+                    [stem.size()[0], 3, 4, half, half],
+                    (Kind::Float, stem.device()),
+                )
+            }
         }
     }
 
@@ -266,7 +288,7 @@ impl Decoder {
     /// Pictures of both dynamic branches over one background per sequence.
     ///
     /// # Shapes
-    /// features `[B, T, stoch + deter]`, `background: [B, 3, 4, 32, 32]`
+    /// features `[B, T, stoch + deter]`, `background: [B, 3, 4, side / 2, side / 2]`
     pub fn forward(
         &self,
         controllable: &Tensor,
@@ -301,7 +323,7 @@ mod tests {
             ..ModelConfig::default()
         };
         let mut params = Params::new(Device::Cpu);
-        let decoder = Decoder::new(params.root("decoder"), &config);
+        let decoder = Decoder::new(params.root("decoder"), &config, 64);
         let feat = || Tensor::randn([2, 4, 8], FLOAT);
         let stem = Tensor::randn([2, 4, 4, 14, 14], FLOAT);
         let background = decoder.background(&stem);

@@ -5,6 +5,7 @@
 use tch::{Kind, Tensor};
 
 use crate::losses::HALF_LOG_2PI;
+use crate::noise::uniform_like;
 
 /// Samples stay this far from the bounds.
 const MARGIN: f64 = 1e-6;
@@ -30,21 +31,21 @@ struct Bounds {
 }
 
 impl TruncatedNormal {
-    /// From the actor's raw outputs: `mean = tanh(m)`, `std = 2 sigmoid(raw / 2) + 0.1`.
+    /// From the actor's raw outputs: `mean = tanh(m)`, `std = 2 sigmoid(raw / 2) + min_std`.
     ///
     /// # Shapes
     /// `[.., 2 A]`
-    pub fn from_raw(raw: &Tensor) -> Self {
+    pub fn from_raw(raw: &Tensor, min_std: f64) -> Self {
         let halves = raw.chunk(2, -1);
         Self {
             mean: halves[0].tanh(),
-            std: (&halves[1] / 2.0).sigmoid() * 2.0 + 0.1,
+            std: (&halves[1] / 2.0).sigmoid() * 2.0 + min_std,
         }
     }
 
     /// A reparameterised sample by the inverse distribution function.
     pub fn sample(&self) -> Tensor {
-        self.quantile(&self.mean.rand_like())
+        self.quantile(&uniform_like(&self.mean))
     }
 
     /// `mean + std Phi^-1(Phi(alpha) + u Z)`: the sample that the uniform number `u` stands for.
@@ -105,6 +106,40 @@ impl TruncatedNormal {
     }
 }
 
+/// `sum_A max(0, |m| - 1)^2` of the actor's raw outputs: how far they lie where `tanh` is flat. An actor that goes there
+/// gets no gradient to come back by, so that `behavior.mean_penalty` weighs this.
+///
+/// # Shapes
+/// `[.., 2 A] -> [..]`
+pub fn saturation(raw: &Tensor) -> Tensor {
+    let m = &raw.chunk(2, -1)[0];
+    sum_last(&(m.abs() - 1.0).relu().square())
+}
+
 fn sum_last(x: &Tensor) -> Tensor {
     x.sum_dim_intlist([-1_i64].as_slice(), false, Kind::Float)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn saturation_grows_beyond_one_and_keeps_its_gradient() {
+        // Two action dimensions: (3 - 1)^2 + (1.5 - 1)^2; the second half is the widths'.
+        let raw = Tensor::from_slice(&[-3.0_f32, 1.5, 9.0, 9.0]).set_requires_grad(true);
+        let penalty = saturation(&raw);
+        assert!((penalty.double_value(&[]) - 4.25).abs() < 1e-6);
+        let gradient = Tensor::run_backward(&[penalty], &[&raw], false, false);
+        let gradient = Vec::<f32>::try_from(&gradient[0]).expect("numbers");
+        assert_eq!(gradient, [-4.0, 1.0, 0.0, 0.0]);
+        let inside = saturation(&Tensor::from_slice(&[0.9_f32, -0.5, 0.0, 0.0]));
+        assert_eq!(inside.double_value(&[]), 0.0);
+    }
+
+    #[test]
+    fn the_least_width_is_that_of_the_configuration() {
+        let narrow = TruncatedNormal::from_raw(&Tensor::from_slice(&[0.0_f32, -80.0]), 0.25);
+        assert!((narrow.std.double_value(&[0]) - 0.25).abs() < 1e-6);
+    }
 }

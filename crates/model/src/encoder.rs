@@ -11,27 +11,35 @@ pub fn embed_dim(config: &ModelConfig) -> i64 {
     8 * config.cnn_depth * 2 * 2
 }
 
-/// The first two convolutions, shared by all branches.
+/// The first convolutions, shared by all branches: two for pictures of 64 pixels, one for pictures of 32.
 #[derive(Debug)]
 pub struct Stem {
-    conv0: Conv,
-    conv1: Conv,
+    layers: Vec<Conv>,
 }
 
 impl Stem {
-    /// The stem for RGB images.
-    pub fn new(mut scope: Scope<'_>, config: &ModelConfig) -> Self {
+    /// The stem for RGB images of `side` rows and columns, 32 or 64.
+    pub fn new(mut scope: Scope<'_>, config: &ModelConfig, side: i64) -> Self {
         let depth = config.cnn_depth;
+        let channels: &[i64] = if side == 32 {
+            &[3, 2 * depth]
+        } else {
+            &[3, depth, 2 * depth]
+        };
+        let layer = |(index, pair): (usize, &[i64])| {
+            Conv::new(scope.sub(format!("conv{index}")), pair[0], pair[1])
+        };
         Self {
-            conv0: Conv::new(scope.sub("conv0"), 3, depth),
-            conv1: Conv::new(scope.sub("conv1"), depth, 2 * depth),
+            layers: channels.windows(2).enumerate().map(layer).collect(),
         }
     }
 
     /// # Shapes
-    /// `[N, 3, 64, 64] -> [N, 2 depth, 14, 14]`
+    /// `[N, 3, 64, 64] -> [N, 2 depth, 14, 14]`, or `[N, 3, 32, 32] -> [N, 2 depth, 15, 15]`
     pub fn forward(&self, image: &Tensor) -> Tensor {
-        elu(self.conv1.forward(&elu(self.conv0.forward(image))))
+        self.layers
+            .iter()
+            .fold(image.shallow_clone(), |x, layer| elu(layer.forward(&x)))
     }
 }
 
@@ -53,7 +61,7 @@ impl Tail {
     }
 
     /// # Shapes
-    /// `stem: [N, 2 depth, 14, 14]`, `action: [N, A]` `-> [N, 32 depth]`
+    /// `stem: [N, 2 depth, 14 or 15, ..]`, `action: [N, A]` `-> [N, 32 depth]`
     pub fn forward(&self, stem: &Tensor, action: Option<&Tensor>) -> Tensor {
         let x = match action {
             Some(action) => self.conv2.forward_with_planes(stem, action),
@@ -85,15 +93,15 @@ pub struct Embeddings {
 }
 
 impl Encoder {
-    /// The encoder of `config`.
-    pub fn new(mut scope: Scope<'_>, config: &ModelConfig, action_dim: i64) -> Self {
+    /// The encoder of `config` for pictures of `side` rows and columns.
+    pub fn new(mut scope: Scope<'_>, config: &ModelConfig, side: i64, action_dim: i64) -> Self {
         let planes = if config.encoder_actions {
             action_dim
         } else {
             0
         };
         Self {
-            stem: Stem::new(scope.sub("stem"), config),
+            stem: Stem::new(scope.sub("stem"), config, side),
             controllable: Tail::new(scope.sub("controllable"), config, planes),
             noncontrollable: Tail::new(scope.sub("noncontrollable"), config, planes),
             actions: config.encoder_actions,
@@ -103,7 +111,7 @@ impl Encoder {
     /// Embeds stem outputs with the actions that led to them.
     ///
     /// # Shapes
-    /// `stem: [N, 2 depth, 14, 14]`, `action: [N, A]`
+    /// `stem: [N, 2 depth, 14 or 15, ..]`, `action: [N, A]`
     pub fn embed(&self, stem: &Tensor, action: &Tensor) -> Embeddings {
         let action = self.actions.then_some(action);
         Embeddings {

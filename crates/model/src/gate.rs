@@ -21,10 +21,14 @@ pub struct DependencyGate {
 impl DependencyGate {
     /// The gate of `config`.
     pub fn new(mut scope: Scope<'_>, config: &ModelConfig) -> Self {
-        Self {
+        let gate = Self {
             gate: Linear::new(scope.sub("gate"), 2 * config.deter, 1),
             merge: Linear::new(scope.sub("merge"), 2 * config.stoch, config.stoch),
+        };
+        if config.gate_bias != 0.0 {
+            let _ = tch::no_grad(|| gate.gate.bias.shallow_clone().fill_(config.gate_bias));
         }
+        gate
     }
 
     /// `w_t` of Eq. 11: 1 where `sigmoid(f(h', h)) >= 0.5`, else 0. The gradient passes straight through

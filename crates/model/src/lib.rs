@@ -27,6 +27,7 @@ pub mod gate;
 pub mod laps;
 pub mod losses;
 pub mod nn;
+pub mod noise;
 pub mod open_loop;
 pub mod optimizer;
 pub mod params;

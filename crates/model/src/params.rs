@@ -73,7 +73,13 @@ impl Params {
             .iter()
             .map(|(_, t)| t.detach().flatten(0, -1))
             .collect();
-        self.flat = Tensor::cat(&parts, 0);
+        self.adopt(Tensor::cat(&parts, 0));
+    }
+
+    /// Makes all parameters views of `flat`, which has their values in order of creation.
+    pub fn adopt(&mut self, flat: Tensor) {
+        let _guard = tch::no_grad_guard();
+        self.flat = flat;
         let mut offset = 0;
         for (_, tensor) in &mut self.entries {
             let size = tensor.size();

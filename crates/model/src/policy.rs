@@ -29,6 +29,7 @@ pub enum Actions {
 #[derive(Debug)]
 pub struct Actor {
     mlp: Mlp,
+    min_std: f64,
 }
 
 impl Actor {
@@ -43,13 +44,21 @@ impl Actor {
                 model.units,
                 2 * action_dim,
             ),
+            min_std: model.policy_min_std,
         }
     }
 
+    /// What the distribution is made of.
+    ///
     /// # Shapes
-    /// `e: [.., feat]`
-    pub fn forward(&self, feat: &Tensor) -> TruncatedNormal {
-        TruncatedNormal::from_raw(&self.mlp.forward(feat))
+    /// `e: [.., feat] -> [.., 2 A]`
+    pub fn raw(&self, feat: &Tensor) -> Tensor {
+        self.mlp.forward(feat)
+    }
+
+    /// The distribution of actions that [`Self::raw`] stands for.
+    pub fn distribution(&self, raw: &Tensor) -> TruncatedNormal {
+        TruncatedNormal::from_raw(raw, self.min_std)
     }
 }
 
@@ -185,7 +194,7 @@ impl Policy<'_> {
     /// # Shapes
     /// `[N, feat] -> [N, A]`
     pub fn act(&self, feat: &Tensor, actions: Actions) -> Tensor {
-        let distribution = self.actor.forward(feat);
+        let distribution = self.actor.distribution(&self.actor.raw(feat));
         match actions {
             Actions::Sample => distribution.sample(),
             Actions::Mode => distribution.mode(),
@@ -210,7 +219,12 @@ impl ActingModel {
         let action_dim = action_dim as i64;
         let mut params = Params::new(device);
         let mut world = params.root("world_model");
-        let encoder = Encoder::new(world.sub("encoder"), &config.model, action_dim);
+        let encoder = Encoder::new(
+            world.sub("encoder"),
+            &config.model,
+            config.env.image_size as i64,
+            action_dim,
+        );
         let rssm = Rssm::new(world.sub("rssm"), &config.model, action_dim);
         let attention =
             attends(config).then(|| FutureAttention::new(params.root("attention"), &config.model));

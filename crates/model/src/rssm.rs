@@ -6,6 +6,7 @@ use tch::{Device, Kind, Tensor};
 use crate::encoder::{Embeddings, embed_dim};
 use crate::gate::DependencyGate;
 use crate::nn::{GruCell, Linear};
+use crate::noise::normal_like;
 use crate::params::Scope;
 
 /// A diagonal Gaussian, `[.., stoch]`.
@@ -20,7 +21,7 @@ pub struct Gaussian {
 impl Gaussian {
     /// `mean + std eps` with fresh noise: reparameterised.
     pub fn sample(&self) -> Tensor {
-        &self.mean + &self.std * self.std.randn_like()
+        &self.mean + &self.std * normal_like(&self.std)
     }
 
     /// Both parts cut from the graph.

@@ -2,15 +2,18 @@
 
 use isodream_core::Config;
 use isodream_core::config::{InverseInput, LossConfig, ModelConfig, VarianceLoss};
-use tch::{Kind, Tensor};
+use tch::{Device, Kind, Tensor};
 
 use crate::batch::Batch;
 use crate::chunked::sum_of_parts;
 use crate::decoder::{Decoder, compose};
 use crate::encoder::{Embeddings, Encoder, embed_dim};
 use crate::laps::{Laps, phase};
-use crate::losses::{balanced_kl, gaussian_nll, max_action_loss, min_free_loss, sample_variance};
+use crate::losses::{
+    HALF_LOG_2PI, balanced_kl, gaussian_nll, max_action_loss, min_free_loss, sample_variance,
+};
 use crate::nn::{Mlp, to_phases};
+use crate::noise::choose;
 use crate::params::Scope;
 use crate::rssm::{Branch, Observed, Rssm, State};
 
@@ -42,12 +45,21 @@ struct Heads {
 /// A sequence seen by the encoder and the latent dynamics.
 #[derive(Debug)]
 pub struct Encoded {
-    /// `[B, T, 2 depth, 14, 14]`.
+    /// `[B, T, 2 depth, ..]`.
     pub stem: Tensor,
     /// `[B, T, embed]` each.
     pub embed: Embeddings,
     /// Latents.
     pub observed: Observed,
+}
+
+/// Errors of the inverse dynamics, over the error of guessing.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct InverseErrors {
+    /// With the pictures.
+    pub seeing: f64,
+    /// With black pictures.
+    pub blind: f64,
 }
 
 /// The world-model loss, its terms, and what behaviour learning starts from.
@@ -65,16 +77,18 @@ impl WorldModel {
     /// The world model of `config`.
     pub fn new(mut scope: Scope<'_>, config: &Config, action_dim: i64) -> Self {
         let model = &config.model;
+        let side = config.env.image_size as i64;
         let feat = model.stoch + model.deter;
         let reward_feat = if model.indicator { 2 * feat } else { feat };
         let inverse_feat = match model.inverse {
             InverseInput::Posterior => 2 * model.stoch,
             InverseInput::EmbedDiff => embed_dim(model),
+            InverseInput::Embed => 2 * embed_dim(model),
         };
         Self {
-            encoder: Encoder::new(scope.sub("encoder"), model, action_dim),
+            encoder: Encoder::new(scope.sub("encoder"), model, side, action_dim),
             rssm: Rssm::new(scope.sub("rssm"), model, action_dim),
-            decoder: Decoder::new(scope.sub("decoder"), model),
+            decoder: Decoder::new(scope.sub("decoder"), model, side),
             heads: Heads {
                 reward: Mlp::new(
                     scope.sub("reward"),
@@ -139,7 +153,7 @@ impl WorldModel {
     /// Encodes a sequence and infers its latents.
     ///
     /// # Shapes
-    /// `images: [B, T, 3, 64, 64]`, `actions: [B, T, A]`
+    /// `images: [B, T, 3, side, side]`, `actions: [B, T, A]`
     pub fn encode(&self, images: &Tensor, actions: &Tensor) -> Encoded {
         let (batch, length) = (images.size()[0], images.size()[1]);
         let stem = self.encoder.stem.forward(&images.flatten(0, 1));
@@ -183,15 +197,23 @@ impl WorldModel {
         let (s, z) = self.decoder_feats(encoded);
         let background = self.decoder.background(&encoded.stem);
         let (sequences, length) = (s.size()[0], s.size()[1]);
+        // Every sequence shows as many frames, so that all have an equal part of the background's gradient.
+        let shown = ((self.loss.decoded_share * length as f64).ceil() as i64).clamp(1, length);
+        let frames = some_frames(sequences, length, shown, s.device());
+        let some = |x: &Tensor| match &frames {
+            Some(frames) => x.flatten(0, 1).index_select(0, frames),
+            None => x.flatten(0, 1),
+        };
         let [s, z] = self
             .decoder
-            .project(&s.flatten(0, 1), &z.flatten(0, 1))
-            .map(|projected| projected.unflatten(0, [sequences, length]));
+            .project(&some(&s), &some(&z))
+            .map(|projected| projected.unflatten(0, [sequences, shown]));
+        let images = some(&batch.images).unflatten(0, [sequences, shown]);
         let mut masks = [(); 2].map(|()| Tensor::zeros([], (Kind::Float, s.device())));
         let loss = sum_of_parts(
-            &[&s, &z, &background, &batch.images],
+            &[&s, &z, &background, &images],
             &self.decoder.upsampling_parameters(),
-            (DECODED_FRAMES / length).max(1),
+            (DECODED_FRAMES / shown).max(1),
             |part| {
                 let share = part[0].size()[0] as f64 / sequences as f64;
                 let [s, z] = self
@@ -219,7 +241,7 @@ impl WorldModel {
 
         let reward_mean = self.reward(&observed.states);
         let reward = gaussian_nll(&reward_mean, &batch.rewards, 0);
-        let action = self.inverse_loss(batch, &encoded);
+        let action = self.inverse_loss(&batch.actions, &encoded);
         let controllable_kl = self.kl(
             &observed.controllable_posterior,
             &observed.controllable_prior,
@@ -285,21 +307,43 @@ impl WorldModel {
 
     /// Inverse dynamics (Eq. 4): the action between neighbouring states, `0.5 |a - a_hat|^2` plus the constant
     /// of a unit Gaussian.
-    fn inverse_loss(&self, batch: &Batch, encoded: &Encoded) -> Tensor {
+    fn inverse_loss(&self, actions: &Tensor, encoded: &Encoded) -> Tensor {
+        let neighbours = |x: &Tensor| {
+            let steps = x.size()[1] - 1;
+            Tensor::cat(&[x.narrow(1, 0, steps), x.narrow(1, 1, steps)], -1)
+        };
+        let embed = &encoded.embed.controllable;
         let input = match self.config.inverse {
-            InverseInput::Posterior => {
-                let stoch = &encoded.observed.states.controllable.stoch;
-                let steps = stoch.size()[1] - 1;
-                Tensor::cat(&[stoch.narrow(1, 0, steps), stoch.narrow(1, 1, steps)], -1)
-            }
-            InverseInput::EmbedDiff => encoded.embed.controllable.diff::<&Tensor>(1, 1, None, None),
+            InverseInput::Posterior => neighbours(&encoded.observed.states.controllable.stoch),
+            InverseInput::EmbedDiff => embed.diff::<&Tensor>(1, 1, None, None),
+            InverseInput::Embed => neighbours(embed),
         };
         let steps = input.size()[1];
         gaussian_nll(
             &self.heads.inverse.forward(&input),
-            &batch.actions.narrow(1, 1, steps),
+            &actions.narrow(1, 1, steps),
             1,
         )
+    }
+
+    /// What the inverse dynamics gains from pictures: its squared error over that of guessing the mean action of the
+    /// batch, with the true pictures and with black ones. Where the second is much below 1, it reads the action
+    /// elsewhere.
+    pub fn inverse_errors(&self, batch: &Batch) -> InverseErrors {
+        let _guard = tch::no_grad_guard();
+        let actions = &batch.actions;
+        let constant = HALF_LOG_2PI * actions.size()[2] as f64;
+        let later = actions.narrow(1, 1, actions.size()[1] - 1);
+        let mean = later.mean_dim([0_i64, 1].as_slice(), true, Kind::Float);
+        let guessed = (gaussian_nll(&mean.expand_as(&later), &later, 1) - constant).clamp_min(1e-8);
+        let of = |images: &Tensor| {
+            let loss = self.inverse_loss(actions, &self.encode(images, actions)) - constant;
+            (loss / &guessed).double_value(&[])
+        };
+        InverseErrors {
+            seeing: of(&batch.images),
+            blind: of(&batch.images.full_like(-0.5)),
+        }
     }
 
     /// The min-max variance constraints (Eq. 8, 9) under `{a, -a}` and `{a, 0, -a}`. The real transitions
@@ -349,6 +393,17 @@ impl WorldModel {
     }
 }
 
+/// Rows of `[sequences length, ..]` that are `shown` different frames of each sequence, drawn at random; none where all
+/// are shown.
+fn some_frames(sequences: i64, length: i64, shown: i64, device: Device) -> Option<Tensor> {
+    (shown < length).then(|| {
+        let rows: Vec<Tensor> = (0..sequences)
+            .map(|sequence| choose(length, shown, device) + sequence * length)
+            .collect();
+        Tensor::cat(&rows, 0)
+    })
+}
+
 /// The first `steps` of `posterior` along time, then prior samples.
 fn posterior_then_prior(posterior: &Tensor, prior: impl FnOnce() -> Tensor, steps: i64) -> Tensor {
     let length = posterior.size()[1];
@@ -361,11 +416,9 @@ fn posterior_then_prior(posterior: &Tensor, prior: impl FnOnce() -> Tensor, step
 
 #[cfg(test)]
 mod tests {
-    use isodream_core::config::Source;
-    use tch::Device;
-
     use super::*;
     use crate::params::Params;
+    use isodream_core::config::Source;
 
     const FLOAT: (Kind, Device) = (Kind::Float, Device::Cpu);
 
@@ -393,16 +446,12 @@ mod tests {
         .expect("a valid preset");
         let mut params = Params::new(Device::Cpu);
         let world = WorldModel::new(params.root("world_model"), &config, 2);
-        let mut batch = Batch {
-            images: Tensor::rand([2, 6, 3, 64, 64], FLOAT) - 0.5,
-            actions: Tensor::rand([2, 6, 2], FLOAT),
-            rewards: Tensor::zeros([2, 6], FLOAT),
-            discounts: Tensor::ones([2, 6], FLOAT),
-        };
-        let encoded = world.encode(&batch.images, &batch.actions);
-        batch.actions = batch.actions.set_requires_grad(true);
-        let loss = world.inverse_loss(&batch, &encoded);
-        let by_action = Tensor::run_backward(&[loss], &[&batch.actions], true, true);
+        let images = Tensor::rand([2, 6, 3, 64, 64], FLOAT) - 0.5;
+        let actions = Tensor::rand([2, 6, 2], FLOAT);
+        let encoded = world.encode(&images, &actions);
+        let actions = actions.set_requires_grad(true);
+        let loss = world.inverse_loss(&actions, &encoded);
+        let by_action = Tensor::run_backward(&[loss], &[&actions], true, true);
         // The first action led to the first state, and nothing is known before that.
         assert_eq!(nonzero_steps(&by_action[0]), [1, 2, 3, 4, 5]);
         let third = by_action[0].select(1, 3).sum(Kind::Float);

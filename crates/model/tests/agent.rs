@@ -14,6 +14,8 @@ const ACTIONS: usize = 2;
 static NOISE: Mutex<()> = Mutex::new(());
 
 fn alone() -> MutexGuard<'static, ()> {
+    // Threads that wait for each other spin, and these products are too small to share.
+    tch::set_num_threads(1);
     NOISE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -48,8 +50,9 @@ fn batch(config: &Config) -> Batch {
     );
     let float = (Kind::Float, Device::Cpu);
     let actions = Tensor::rand([b, t, ACTIONS as i64], float) * 2.0 - 1.0;
+    let side = config.env.image_size as i64;
     Batch {
-        images: Tensor::rand([b, t, 64, 64, 3], float).permute([0, 1, 4, 2, 3]) - 0.5,
+        images: Tensor::rand([b, t, side, side, 3], float).permute([0, 1, 4, 2, 3]) - 0.5,
         rewards: -actions.select(2, 0).abs(),
         discounts: Tensor::ones([b, t], float),
         actions,
@@ -88,6 +91,7 @@ fn deployed_and_imagined_policy_act_alike() {
         &["model.future=concatenation"],
         &["model.branches=dynamic"],
         &["model.branches=controllable", "model.indicator=false"],
+        &["env.image_size=32", "model.policy_min_std=0.3"],
     ] {
         let config = small(set);
         let agent = Agent::new(&config, &spec(), Device::Cpu);
@@ -107,12 +111,12 @@ fn deployed_and_imagined_policy_act_alike() {
             .actions;
 
         tch::manual_seed(5);
-        let encoder = &agent.world.encoder;
+        let encoder = &agent.world().encoder;
         let embed = encoder.embed(&encoder.stem.forward(&images), &nothing);
-        let initial = agent.world.rssm.initial(count, Device::Cpu);
-        let state = agent.world.rssm.observe_step(&initial, &nothing, &embed);
+        let initial = agent.world().rssm.initial(count, Device::Cpu);
+        let state = agent.world().rssm.observe_step(&initial, &nothing, &embed);
         let start = state.map(Tensor::shallow_clone);
-        let imagined = imagine(&agent.world, &agent.policy(), start, &config.behavior);
+        let imagined = imagine(agent.world(), &agent.policy(), start, &config.behavior);
         assert!(
             imagined.actions.get(0).equal(&deployed),
             "{set:?}: {} {deployed}",
@@ -141,7 +145,7 @@ fn deployed_and_imagined_policy_act_alike() {
         let second = second.actions;
         tch::manual_seed(6);
         let embed = encoder.embed(&encoder.stem.forward(&next_images), &deployed);
-        let state = agent.world.rssm.observe_step(&state, &deployed, &embed);
+        let state = agent.world().rssm.observe_step(&state, &deployed, &embed);
         let policy = agent.policy();
         let wanted = policy.act(
             &policy.feat(&state, &policy.look_ahead(&state)),
@@ -206,6 +210,18 @@ fn every_option_trains_and_the_losses_fall() {
         ],
         &["model.future=concatenation", "model.branches=dynamic"],
         &["model.branches=controllable", "model.indicator=false"],
+        &[
+            "model.inverse=embed",
+            "model.encoder_actions=false",
+            "model.gate_bias=2",
+            "loss.decoded_share=0.4",
+            "behavior.normalize_returns=true",
+            "behavior.mean_penalty=0.01",
+            "behavior.slow_critic_interval=1",
+            "behavior.slow_critic_fraction=0.02",
+            "learner.workers=2",
+            "env.image_size=32",
+        ],
     ] {
         let mut config = small(set);
         config.optimizer.model_lr = 2e-3;
@@ -325,4 +341,60 @@ fn a_transfer_takes_the_parts_it_is_told_and_nothing_else() {
     );
     to.transfer(&from.save_model(), &[]).expect("everything");
     assert_eq!(differing(&from, &to), Vec::<String>::new());
+}
+
+#[test]
+fn several_workers_repeat_themselves_and_learn_as_one() {
+    let _alone = alone();
+    let train = |workers: &str| {
+        let config = small(&[
+            workers,
+            "learner.batch_size=3",
+            "behavior.normalize_returns=true",
+        ]);
+        let batch = batch(&config);
+        let mut agent = Agent::new(&config, &spec(), Device::Cpu);
+        let losses: Vec<f64> = (0..4)
+            .map(|_| read(&agent.update(&batch), "train/loss/image"))
+            .collect();
+        (agent.save_model(), losses)
+    };
+    let (model, losses) = train("learner.workers=2");
+    let (again, _) = train("learner.workers=2");
+    assert!(model == again, "threads are left to chance");
+    // Sequences of 2 and 1: the same losses but for the noise of latents.
+    let (_, alone) = train("learner.workers=1");
+    for (several, one) in losses.iter().zip(&alone) {
+        assert!((several / one - 1.0).abs() < 1e-3, "{losses:?} {alone:?}");
+    }
+    // More workers than sequences: some have nothing to do.
+    let (_, many) = train("learner.workers=5");
+    assert!(many[3] < many[0]);
+}
+
+#[test]
+fn an_inverse_dynamics_of_embeddings_gains_nothing_without_pictures() {
+    let _alone = alone();
+    let errors = |set: &[&str]| {
+        let config = small(set);
+        let batch = batch(&config);
+        let mut agent = Agent::new(&config, &spec(), Device::Cpu);
+        for _ in 0..40 {
+            agent.update(&batch);
+        }
+        agent.world().inverse_errors(&batch)
+    };
+    let fast = ["optimizer.model_lr=5e-3", "loss.action_scale=100"];
+    let leaking = errors(&fast);
+    let looking = errors(
+        &[
+            &fast[..],
+            &["model.inverse=embed", "model.encoder_actions=false"],
+        ]
+        .concat(),
+    );
+    // Black pictures all look alike: what is inferred from them is a constant.
+    assert!(looking.blind > 0.999, "{looking:?}");
+    assert!(leaking.blind < 0.9, "{leaking:?}");
+    assert!(looking.seeing.is_finite() && leaking.seeing.is_finite());
 }

@@ -13,7 +13,7 @@ fn mean_masks(bias: f64) -> [f64; 2] {
     })
     .expect("a valid configuration");
     let mut params = Params::new(Device::Cpu);
-    let decoder = Decoder::new(params.root("decoder"), &config.model);
+    let decoder = Decoder::new(params.root("decoder"), &config.model, 64);
     let feat = Tensor::zeros(
         [1, 2, config.model.stoch + config.model.deter],
         (Kind::Float, Device::Cpu),

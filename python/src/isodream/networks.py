@@ -11,7 +11,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 Array = NDArray[np.float32]
-SIDE = 64
 KERNEL = 4
 
 
@@ -118,6 +117,8 @@ class Networks:
 
     def __init__(self, tensors: Mapping[str, Array], config: Mapping[str, Any]) -> None:
         model, self.window = config["model"], config["behavior"]["rollout_window"]
+        self.side: int = config["env"]["image_size"]
+        """Rows and columns of a picture."""
         weights = Weights(tensors)
         self._encoder, self._encoder_actions = weights.at("world_model.encoder"), model["encoder_actions"]
         rssm = weights.at("world_model.rssm")
@@ -129,13 +130,16 @@ class Networks:
         attends = model.get("future", "attention") == "attention"
         self._attention = weights.at("attention") if attends else None
         self._actor, self._actor_layers = weights.at("actor"), model["actor_layers"]
+        self._policy_min_std = model["policy_min_std"]
         self.action_dim = len(self._actor["out.bias"]) // 2
 
     def observe(
         self, s: Latent, z: Latent, executed: Array, images: Array, rng: np.random.Generator
     ) -> tuple[Latent, Latent]:
-        """Posterior samples of both branches after `executed` [N, A] led to `images` [N, 64, 64, 3]."""
-        stem = self._encoder.conv("stem.conv1", self._encoder.conv("stem.conv0", images))
+        """Posterior samples of both branches after `executed` [N, A] led to `images` [N, side, side, 3]."""
+        stem = self._encoder.conv("stem.conv0", images)
+        if self.side != 32:
+            stem = self._encoder.conv("stem.conv1", stem)
         s_deter = self.controllable.transition(s.stoch, executed, s.deter)
         z_deter = self._free_transition(self._gated(s, z), z.deter)
         s_stoch = self.controllable.posterior(s_deter, self._embed("controllable", stem, executed), rng)
@@ -172,7 +176,7 @@ class Networks:
         for index in range(self._actor_layers):
             feat = elu(self._actor.linear(f"layer{index}", feat))
         mean, raw = np.split(self._actor.linear("out", feat), 2, -1)
-        return np.tanh(mean), width(raw, 0.1)
+        return np.tanh(mean), width(raw, self._policy_min_std)
 
     def _embed(self, branch: str, stem: Array, executed: Array) -> Array:
         planes = executed if self._encoder_actions else None

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from isodream.checkpoint import Checkpoint
-from isodream.networks import SIDE, Latent, Networks, join
+from isodream.networks import Latent, Networks, join
 
 
 class Policy:
@@ -59,7 +59,7 @@ class Policy:
         """One action for each environment, which must then be executed (Alg. 1, lines 21-24).
 
         Args:
-            images: Bytes [N, 64, 64, 3] as the environments were trained on.
+            images: Bytes [N, side, side, 3] as the environments were trained on.
             is_first: Which of the environments were just reset, [N]; none by default.
             deterministic: Whether to take the most likely action, as in evaluation, or to draw one, as in collecting.
 
@@ -70,9 +70,10 @@ class Policy:
             ValueError: if the pictures are not what the policy was trained on.
         """
         count = len(self._executed)
-        if images.shape != (count, SIDE, SIDE, 3) or images.dtype != np.uint8:
+        shape = (count, self.networks.side, self.networks.side, 3)
+        if images.shape != shape or images.dtype != np.uint8:
             raise ValueError(
-                f"images are {images.dtype} {list(images.shape)}, must be uint8 {[count, SIDE, SIDE, 3]}; "
+                f"images are {images.dtype} {list(images.shape)}, must be uint8 {list(shape)}; "
                 "call reset(N) for another number of environments"
             )
         if is_first is not None:

@@ -48,7 +48,10 @@ struct LearnerBench {
     threads: i32,
     batch: usize,
     length: usize,
+    workers: usize,
     steps: u32,
+    /// Frames of the batch over the seconds of a step.
+    replayed_frames_per_s: f64,
     wall_seconds_per_step: f64,
     cpu_seconds_per_step: f64,
     flops_per_step: f64,
@@ -145,7 +148,9 @@ fn measure(config: &Config, steps: u32, device: Device) -> anyhow::Result<Learne
         threads: tch::get_num_threads(),
         batch: config.learner.batch_size,
         length: config.learner.batch_length,
+        workers: config.learner.workers,
         steps,
+        replayed_frames_per_s: config.batch_steps() as f64 / total.wall,
         wall_seconds_per_step: total.wall,
         cpu_seconds_per_step: total.cpu,
         flops_per_step: flops,
@@ -179,14 +184,16 @@ fn random_batch(config: &Config, action_dim: i64, device: Device) -> Batch {
 impl LearnerBench {
     fn table(&self) -> String {
         let mut lines = vec![format!(
-            "{} x {} on {} with {} threads, {}: {:.3} s, {:.3} CPU s per step",
+            "{} x {} on {} with {} threads for each of {} workers, {}: {:.3} s, {:.3} CPU s per step, {:.0} frames/s",
             self.batch,
             self.length,
             self.device,
             self.threads,
+            self.workers,
             self.dtype,
             self.wall_seconds_per_step,
-            self.cpu_seconds_per_step
+            self.cpu_seconds_per_step,
+            self.replayed_frames_per_s
         )];
         lines.push(format!(
             "{:.0} GFLOP/s; matrix products here: {:.0} in fp32, {:.0} in bf16; peak memory {:.2} GB",

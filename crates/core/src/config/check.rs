@@ -1,7 +1,7 @@
 //! What values settings may have.
 
 use super::load::ConfigError;
-use super::{Branches, Config};
+use super::{Branches, Config, InverseInput};
 
 impl Config {
     /// Refuses the first setting that is out of range.
@@ -25,6 +25,13 @@ impl Config {
                 "model.background_frames",
                 self.model.background_frames as f64,
             ),
+            ("model.policy_min_std", self.model.policy_min_std),
+            ("loss.decoded_share", self.loss.decoded_share),
+            (
+                "behavior.slow_critic_fraction",
+                self.behavior.slow_critic_fraction,
+            ),
+            ("learner.workers", self.learner.workers as f64),
             ("learner.batch_size", self.learner.batch_size as f64),
             ("learner.replay_ratio", self.learner.replay_ratio),
             ("learner.decode_threads", self.learner.decode_threads as f64),
@@ -72,6 +79,12 @@ impl Config {
                 self.loss.noncontrollable_posterior_share,
             ),
             ("loss.kl_balance", self.loss.kl_balance),
+            ("actor.explore_share", self.actor.explore_share),
+            ("loss.decoded_share", self.loss.decoded_share),
+            (
+                "behavior.slow_critic_fraction",
+                self.behavior.slow_critic_fraction,
+            ),
             ("behavior.discount", self.behavior.discount),
             ("behavior.lambda", self.behavior.lambda),
         ];
@@ -93,10 +106,10 @@ impl Config {
                 "must not be longer than an episode (env.time_limit + 1)",
             ));
         }
-        if self.env.image_size != 64 {
+        if ![32, 64].contains(&self.env.image_size) {
             return Err(invalid(
                 "env.image_size",
-                "must be 64, the size the networks are made for",
+                "must be 32 or 64, the sizes the networks are made for",
             ));
         }
         if self.behavior.imagination_horizon < 2 {
@@ -107,6 +120,12 @@ impl Config {
         }
         if self.behavior.rollout_window < 0 {
             return Err(invalid("behavior.rollout_window", "must not be negative"));
+        }
+        if self.model.inverse == InverseInput::Embed && self.model.encoder_actions {
+            return Err(invalid(
+                "model.inverse",
+                "embed needs model.encoder_actions = false: else the embeddings contain the action that is to be inferred",
+            ));
         }
         if self.model.branches == Branches::Controllable && self.model.indicator {
             return Err(invalid(

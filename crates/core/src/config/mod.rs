@@ -14,7 +14,9 @@ pub use environment::{BackgroundOrder, EnvConfig, NoiseTarget, RepeatReward};
 pub use load::{ConfigError, PRESETS, Source};
 pub use model::{Branches, FutureStates, InverseInput, LossConfig, ModelConfig, VarianceLoss};
 pub use replay::{ReplayConfig, SelectorKind, TableConfig};
-pub use training::{ActorConfig, BehaviorConfig, LearnerConfig, OptimizerConfig, Precision};
+pub use training::{
+    ActorConfig, BehaviorConfig, LearnerConfig, OptimizerConfig, Precision, Prefill,
+};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

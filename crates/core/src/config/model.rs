@@ -7,11 +7,15 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum InverseInput {
-    /// The posterior samples `s_{t-1}`, `s_t`, as in the paper.
+    /// The posterior samples `s_{t-1}`, `s_t`, as in the paper. Their recurrent state has heard the action, so that the
+    /// loss can be low without a look at the picture (`train/inverse_blind`).
     Posterior,
     /// The difference of the controllable embeddings, as in the authors' code. With `encoder_actions` the
     /// embedding already contains the target, a leak that the authors' code has as well.
     EmbedDiff,
+    /// The controllable embeddings of two neighbouring frames, side by side. They see nothing but pictures: needs
+    /// `encoder_actions = false`.
+    Embed,
 }
 
 /// How the min-max variance constraints (Eq. 8, 9) are measured.
@@ -72,6 +76,9 @@ pub struct ModelConfig {
     pub discount_layers: i64,
     /// Hidden layers of the actor.
     pub actor_layers: i64,
+    /// Least standard deviation of the policy: 0.1 in DreamerV2 and the authors' code. 0.2 sees over a valley of the
+    /// return that 0.1 does not.
+    pub policy_min_std: f64,
     /// Hidden layers of the critic.
     pub critic_layers: i64,
     /// Width of the projections in the future-state attention.
@@ -87,6 +94,9 @@ pub struct ModelConfig {
     pub future: FutureStates,
     /// Whether the dependency gate lets controllable states into the noncontrollable transition (Eq. 11, 12).
     pub dependency_gate: bool,
+    /// Initial bias of the gate's logit: above 0 the gate begins open. 0 keeps PyTorch's random initialisation, as in the
+    /// authors' code.
+    pub gate_bias: f64,
     /// Whether the branch encoders see the previous action.
     pub encoder_actions: bool,
     /// What the inverse dynamics sees.
@@ -112,6 +122,7 @@ impl Default for ModelConfig {
             inverse_layers: 2,
             discount_layers: 3,
             actor_layers: 4,
+            policy_min_std: 0.1,
             critic_layers: 3,
             attention_dim: 500,
             background_frames: 10,
@@ -119,6 +130,7 @@ impl Default for ModelConfig {
             branches: Branches::All,
             future: FutureStates::Attention,
             dependency_gate: true,
+            gate_bias: 0.0,
             encoder_actions: true,
             inverse: InverseInput::Posterior,
             mask_bias: 0.0,
@@ -158,6 +170,9 @@ pub struct LossConfig {
     pub controllable_posterior_share: f64,
     /// The same share for the noncontrollable branch: 1 for driving, 0.8 for DeepMind Control.
     pub noncontrollable_posterior_share: f64,
+    /// Share of a batch's frames that are decoded, in (0, 1]: drawn at random, so that the image loss stays unbiased.
+    /// Decoding is most of an update's work.
+    pub decoded_share: f64,
 }
 
 impl Default for LossConfig {
@@ -176,6 +191,7 @@ impl Default for LossConfig {
             gate_scale: 1.0,
             controllable_posterior_share: 0.5,
             noncontrollable_posterior_share: 1.0,
+            decoded_share: 1.0,
         }
     }
 }

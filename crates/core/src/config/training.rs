@@ -20,8 +20,16 @@ pub struct BehaviorConfig {
     pub lambda: f64,
     /// Weight of the policy's entropy.
     pub entropy_scale: f64,
-    /// Updates between hard copies of the critic into the slow critic.
+    /// Whether the actor's returns are divided by their running range (5th to 95th percentile, 1 at the least), as in
+    /// DreamerV3: one `entropy_scale` fits rewards of any size. The paper's and the authors' returns are not.
+    pub normalize_returns: bool,
+    /// Weight of `sum max(0, |m| - 1)^2` in the actor's loss, `m` its mean before `tanh`. With the authors' 0 an actor
+    /// can saturate within a hundred updates, and gets no gradient from then on.
+    pub mean_penalty: f64,
+    /// Updates between two moves of the slow critic towards the critic.
     pub slow_critic_interval: u64,
+    /// How far it moves, in (0, 1]: 1 copies the critic, as in the paper.
+    pub slow_critic_fraction: f64,
     /// Whether the actor also receives the value's gradient through `e_t`. The authors' driving code cuts it.
     pub value_gradient: bool,
     /// Share of the replayed states from which imagination starts, in (0, 1].
@@ -39,7 +47,10 @@ impl Default for BehaviorConfig {
             discount: 0.99,
             lambda: 0.95,
             entropy_scale: 1e-4,
+            normalize_returns: false,
+            mean_penalty: 0.0,
             slow_critic_interval: 100,
+            slow_critic_fraction: 1.0,
             value_gradient: true,
             start_share: 1.0,
             warmup_updates: 0,
@@ -129,6 +140,9 @@ pub struct LearnerConfig {
     pub prefetch_batches: usize,
     /// Threads of one tensor operation; 0 leaves the choice to libtorch.
     pub threads: i32,
+    /// Threads that each compute the gradients of a share of the batch, on a CPU: for models too small to gain from
+    /// `threads`. Each draws noise of its own and counts its own free nats, so that another number is another run.
+    pub workers: usize,
     /// In which numbers matrices are multiplied.
     pub precision: Precision,
 }
@@ -153,9 +167,21 @@ impl Default for LearnerConfig {
             decode_threads: 2,
             prefetch_batches: 3,
             threads: 0,
+            workers: 1,
             precision: Precision::Fp32,
         }
     }
+}
+
+/// How an actor acts before there is a policy.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Prefill {
+    /// Every action is drawn by itself, uniformly: the paper's.
+    Random,
+    /// Random actions that are held for some steps, so that speeds and contacts come about which white noise never
+    /// reaches.
+    Wander,
 }
 
 /// The actors that `train` starts and how they act.
@@ -166,6 +192,11 @@ pub struct ActorConfig {
     pub collectors: usize,
     /// Environments that one actor steps as a batch.
     pub environments: usize,
+    /// How collecting actors act before there is a policy.
+    pub prefill: Prefill,
+    /// Share of their steps that collecting actors act at random later on, in stretches of held actions; 0 as in the
+    /// paper, which samples from the policy alone.
+    pub explore_share: f64,
     /// Chunks an actor holds unacknowledged before it pauses its environments.
     pub spool_chunks: usize,
     /// The same in MB of chunks as they are encoded; a single chunk always has room.
@@ -183,6 +214,8 @@ impl Default for ActorConfig {
         Self {
             collectors: 2,
             environments: 1,
+            prefill: Prefill::Random,
+            explore_share: 0.0,
             spool_chunks: 8,
             spool_mb: 64,
             evaluate_interval_frames: 5_000,

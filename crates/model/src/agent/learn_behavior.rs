@@ -1,9 +1,13 @@
-//! Behaviour learning: a step of actor, critic and attention (Iso-Dream++ Alg. 1, lines 8-14).
+//! Behaviour learning: the gradients of actor, critic and attention (Iso-Dream++ Alg. 1, lines 8-14).
 
 use tch::{Kind, Tensor};
 
-use super::{Agent, Metric};
-use crate::behavior::{actor_loss, critic_loss, imagine, lambda_return, starts, step_weights};
+use super::Metric;
+use super::networks::Networks;
+use super::share::{Answer, add_metrics};
+use crate::behavior::{
+    actor_loss, critic_loss, imagine, lambda_return, return_range, starts, step_weights,
+};
 use crate::chunked::add_gradients;
 use crate::laps::{Laps, phase};
 use crate::params::Params;
@@ -19,65 +23,63 @@ struct BehaviorLosses {
     metrics: Vec<Metric>,
 }
 
-/// What a step of actor and critic needs, one gradient per parameter.
-#[derive(Default)]
-struct BehaviorGradients {
-    actor: Vec<Tensor>,
-    critic: Vec<Tensor>,
-    metrics: Vec<Metric>,
-}
-
-impl Agent {
-    /// Behaviour learning from the given posterior states (Alg. 1, lines 8-14).
-    pub(super) fn learn_behavior(&mut self, states: &State, laps: &mut Laps) -> Vec<Metric> {
+impl Networks {
+    /// Gradients of `weight` times the actor's and the critic's loss from posterior states `[B, T, ..]`, returns divided
+    /// by `return_scale`.
+    pub(super) fn behavior_gradients(
+        &self,
+        states: &State,
+        return_scale: Option<&Tensor>,
+        weight: f64,
+        laps: &mut Laps,
+    ) -> Answer {
         let starts = starts(states, &self.config);
-        let BehaviorGradients {
-            actor,
-            critic,
-            mut metrics,
-        } = self.behavior_gradients(&starts, IMAGINED_STARTS, laps);
-        let (params, adam) = &mut self.groups.actor;
-        metrics.push(("train/grad_norm/actor", adam.step(params, &actor)));
-        laps.lap(phase::ACTOR_BACKWARD);
-        let (params, adam) = &mut self.groups.critic;
-        metrics.push(("train/grad_norm/critic", adam.step(params, &critic)));
-        laps.lap(phase::CRITIC_BACKWARD);
-        metrics
+        self.gradients_in_parts(&starts, return_scale, weight, IMAGINED_STARTS, laps)
     }
 
     /// Gradients of both losses, `rows` starts after the others: the losses are means over starts, and the graph of
     /// their trajectories would be most of the memory.
-    fn behavior_gradients(&self, starts: &State, rows: i64, laps: &mut Laps) -> BehaviorGradients {
+    fn gradients_in_parts(
+        &self,
+        starts: &State,
+        return_scale: Option<&Tensor>,
+        weight: f64,
+        rows: i64,
+        laps: &mut Laps,
+    ) -> Answer {
         let total = starts.controllable.stoch.size()[0];
-        let mut sums = BehaviorGradients::default();
+        let (mut actor, mut critic, mut metrics) = (Vec::new(), Vec::new(), Vec::new());
         let mut first = 0;
         while first < total {
             let count = rows.min(total - first);
-            let share = count as f64 / total as f64;
-            let losses = self.behavior_losses(starts.map(|x| x.narrow(0, first, count)), laps);
+            let share = weight * count as f64 / total as f64;
+            let part = starts.map(|x| x.narrow(0, first, count));
+            let losses = self.behavior_losses(part, return_scale, laps);
             let gradients = |loss: &Tensor, params: &Params, keep_graph: bool| {
                 Tensor::run_backward(&[loss * share], &params.tensors(), keep_graph, false)
             };
-            let actor = gradients(&losses.actor, &self.groups.actor.0, true);
-            add_gradients(&mut sums.actor, actor);
+            let of_actor = gradients(&losses.actor, &self.params.actor, true);
+            add_gradients(&mut actor, of_actor);
             laps.lap(phase::ACTOR_BACKWARD);
-            let critic = gradients(&losses.critic, &self.groups.critic.0, false);
-            add_gradients(&mut sums.critic, critic);
+            let of_critic = gradients(&losses.critic, &self.params.critic, false);
+            add_gradients(&mut critic, of_critic);
             laps.lap(phase::CRITIC_BACKWARD);
-            for (index, (name, value)) in losses.metrics.into_iter().enumerate() {
-                let value = value.detach() * share;
-                match sums.metrics.get_mut(index) {
-                    Some((_, sum)) => *sum += value,
-                    None => sums.metrics.push((name, value)),
-                }
-            }
+            add_metrics(&mut metrics, losses.metrics, share);
             first += count;
         }
-        sums
+        Answer {
+            gradients: vec![actor, critic],
+            metrics,
+        }
     }
 
     /// Imagines from `starts`, and both losses of it.
-    fn behavior_losses(&self, starts: State, laps: &mut Laps) -> BehaviorLosses {
+    fn behavior_losses(
+        &self,
+        starts: State,
+        return_scale: Option<&Tensor>,
+        laps: &mut Laps,
+    ) -> BehaviorLosses {
         let config = &self.config.behavior;
         let imagined = imagine(&self.world, &self.policy(), starts, config);
         laps.lap(phase::IMAGINE);
@@ -94,12 +96,15 @@ impl Agent {
             config.lambda,
         );
         let weights = step_weights(&imagined.discounts);
-        let actor = actor_loss(
-            &returns,
-            &imagined.entropies,
-            &weights,
-            config.entropy_scale,
-        );
+        let range = return_range(&returns);
+        let own_scale = range.clamp_min(1.0);
+        let scaled = match return_scale {
+            Some(scale) => &returns / scale,
+            None if config.normalize_returns => &returns / own_scale,
+            None => returns.shallow_clone(),
+        };
+        let actor = actor_loss(&scaled, &imagined.entropies, &weights, config.entropy_scale)
+            + (&weights * &imagined.saturations).mean(Kind::Float) * config.mean_penalty;
         // Its loss reaches the critic and, through `e_t`, the attention; only their gradients are asked for.
         let steps = config.imagination_horizon - 1;
         let values = self.critic.forward(&imagined.feats.narrow(0, 0, steps));
@@ -107,8 +112,13 @@ impl Agent {
         let metrics = vec![
             ("train/imagined_reward", imagined.rewards.mean(Kind::Float)),
             ("train/imagined_return", returns.mean(Kind::Float)),
+            ("train/return_range", range),
             ("train/value", values.mean(Kind::Float)),
             ("train/actor_entropy", imagined.entropies.mean(Kind::Float)),
+            (
+                "train/actor_saturation",
+                imagined.saturations.mean(Kind::Float),
+            ),
             (
                 "train/action_magnitude",
                 imagined.actions.abs().mean(Kind::Float),
@@ -127,8 +137,11 @@ impl Agent {
 
 #[cfg(test)]
 mod tests {
+    use tch::Device;
+
     use super::super::tests::agent;
     use super::*;
+    use crate::noise::seeded;
 
     /// Sum of the norms of a loss's gradients with respect to the parameters under `prefix`.
     fn reach(loss: &Tensor, params: &Params, prefix: &str) -> f64 {
@@ -149,23 +162,27 @@ mod tests {
     #[test]
     fn starts_after_others_have_the_gradients_of_all() {
         let (agent, batch) = agent(&[]);
-        let states = agent.world.loss(&batch, &mut Laps::off()).states;
+        let networks = &agent.share.networks;
+        let states = agent.world().loss(&batch, &mut Laps::off()).states;
         let starts = starts(&states, &agent.config);
         assert_eq!(starts.controllable.stoch.size()[0], 16);
-        tch::manual_seed(5);
-        let parts = agent.behavior_gradients(&starts, 12, &mut Laps::off());
+        let scale = Some(Tensor::from(2.0_f32));
+        let gradients = |starts: &State, rows: i64| {
+            networks.gradients_in_parts(starts, scale.as_ref(), 1.0, rows, &mut Laps::off())
+        };
+        let parts = seeded(5, Device::Cpu, || gradients(&starts, 12));
         // The same noise again: of both parts by themselves, weighted by their starts.
-        tch::manual_seed(5);
-        let [many, few] = [(0, 12), (12, 4)].map(|(first, count)| {
-            let part = starts.map(|x| x.narrow(0, first, count));
-            agent.behavior_gradients(&part, count, &mut Laps::off())
+        let [many, few] = seeded(5, Device::Cpu, || {
+            [(0, 12), (12, 4)]
+                .map(|(first, count)| gradients(&starts.map(|x| x.narrow(0, first, count)), count))
         });
         let mean = |a: &Tensor, b: &Tensor| a * 0.75 + b * 0.25;
-        let pairs = [
-            (&parts.actor, &many.actor, &few.actor),
-            (&parts.critic, &many.critic, &few.critic),
-        ];
-        for (sum, a, b) in pairs {
+        let groups = parts
+            .gradients
+            .iter()
+            .zip(&many.gradients)
+            .zip(&few.gradients);
+        for ((sum, a), b) in groups {
             for index in 0..sum.len() {
                 assert_eq!(sum[index].defined(), a[index].defined());
                 if sum[index].defined() {
@@ -186,14 +203,15 @@ mod tests {
     #[test]
     fn gradients_of_behaviour_learning_go_where_they_should() {
         let (agent, batch) = agent(&[]);
-        let states = agent.world.loss(&batch, &mut Laps::off()).states;
+        let states = agent.world().loss(&batch, &mut Laps::off()).states;
         let imagined = imagine(
-            &agent.world,
+            agent.world(),
             &agent.policy(),
             starts(&states, &agent.config),
             &agent.config.behavior,
         );
-        let groups = &agent.groups;
+        let networks = &agent.share.networks;
+        let groups = &networks.params;
         let memory = agent
             .policy()
             .look_ahead(&starts(&states, &agent.config))
@@ -205,25 +223,28 @@ mod tests {
 
         // The start's reward owes nothing to imagined actions, every later one does.
         let reward = |t: i64| imagined.rewards.get(t).sum(Kind::Float);
-        assert_eq!(reach(&reward(0), &groups.actor.0, "actor"), 0.0);
-        assert!(reach(&reward(1), &groups.actor.0, "actor") > 0.0);
+        assert_eq!(reach(&reward(0), &groups.actor, "actor"), 0.0);
+        assert!(reach(&reward(1), &groups.actor, "actor") > 0.0);
 
-        let value = agent.slow_critic.forward(&imagined.feats).sum(Kind::Float);
+        let value = networks
+            .slow_critic
+            .forward(&imagined.feats)
+            .sum(Kind::Float);
         assert!(
-            reach(&value, &groups.actor.0, "actor") > 0.0,
+            reach(&value, &groups.actor, "actor") > 0.0,
             "the value's gradient passes e_t"
         );
 
-        let values = agent.critic.forward(&imagined.feats).sum(Kind::Float);
-        assert!(reach(&values, &groups.critic.0, "critic") > 0.0);
+        let values = networks.critic.forward(&imagined.feats).sum(Kind::Float);
+        assert!(reach(&values, &groups.critic, "critic") > 0.0);
         assert!(
-            reach(&values, &groups.critic.0, "attention") > 0.0,
+            reach(&values, &groups.critic, "attention") > 0.0,
             "attention learns from the critic's loss"
         );
         // Nor does that gradient take the way of earlier actions: it is the one of `e_t` from inputs cut from
         // the graph.
         let actions = imagined.actions.sum(Kind::Float);
-        assert!(reach(&actions, &groups.actor.0, "actor") > 0.0);
-        assert_eq!(reach(&actions, &groups.critic.0, "attention"), 0.0);
+        assert!(reach(&actions, &groups.actor, "actor") > 0.0);
+        assert_eq!(reach(&actions, &groups.critic, "attention"), 0.0);
     }
 }

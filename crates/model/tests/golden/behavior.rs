@@ -128,7 +128,7 @@ fn actor_and_critic_losses() {
 #[test]
 fn mean_and_standard_deviation_of_the_actor() {
     let raw = tensor("std_transform.inputs.raw");
-    let distribution = TruncatedNormal::from_raw(&Tensor::stack(&[&raw, &raw], -1));
+    let distribution = TruncatedNormal::from_raw(&Tensor::stack(&[&raw, &raw], -1), 0.1);
     assert_close(
         &distribution.std.squeeze_dim(-1),
         "std_transform.outputs.std",
