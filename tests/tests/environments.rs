@@ -29,7 +29,7 @@ fn refused(args: &[&str]) -> Result<String> {
 fn environments_are_listed_played_and_measured() -> Result<()> {
     let folder = tempfile::tempdir()?;
     let specs: Vec<Value> = serde_json::from_str(&printed(&["env", "list", "--json"])?)?;
-    for id in ["highway/jam/night", "dmc/cheetah_run/video_hard"] {
+    for id in ["highway/straight/night", "dmc/cheetah_run/video_hard"] {
         ensure!(specs.iter().any(|spec| spec["id"] == id), "{id} is missing");
     }
 
@@ -64,7 +64,7 @@ fn what_cannot_be_played_is_said() -> Result<()> {
     ensure!(error.contains(".mp4"), "{error}");
     let error = refused(&to("highway/day", "a.png", "careful"))?;
     ensure!(error.contains("keep_lane"), "{error}");
-    let error = refused(&to("dmc/walker_walk", "a.png", "overtake"))?;
+    let error = refused(&to("dmc/walker_walk", "a.png", "reacting"))?;
     ensure!(error.contains("privileged"), "{error}");
     Ok(())
 }

@@ -106,7 +106,7 @@ fn an_interrupted_run_stops_in_ten_seconds_and_resumes_to_its_end() -> Result<()
     ])?;
     let evaluation: serde_json::Value =
         serde_json::from_slice(&output.stdout).context("eval prints JSON")?;
-    for policy in ["trained", "random", "keep_lane", "overtake"] {
+    for policy in ["trained", "random", "keep_lane", "reacting"] {
         for field in [
             "return_mean",
             "return_std",

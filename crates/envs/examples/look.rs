@@ -18,7 +18,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         .next()
         .ok_or("usage: look SHEET.png [SEED] [DRIVER] [ID ...]")?;
     let seed = arguments.next().map_or(Ok(1), |text| text.parse())?;
-    let driver: ScriptedDriver = arguments.next().as_deref().unwrap_or("overtake").parse()?;
+    let driver: ScriptedDriver = arguments.next().as_deref().unwrap_or("reacting").parse()?;
 
     let mut chosen: Vec<String> = arguments.collect();
     if chosen.is_empty() {

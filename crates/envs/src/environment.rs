@@ -45,6 +45,33 @@ pub trait Environment: Send {
 
     /// What scripted drivers may see and agents may not.
     fn privileged(&self) -> Option<PrivilegedView>;
+
+    /// A copy of the world in its present state, for drivers that try out the future. `None` where there is none.
+    fn simulator(&self) -> Option<Box<dyn Simulator>> {
+        None
+    }
+}
+
+/// A copy of a world that runs on without pictures. Its random numbers are those of the world it is a copy of: the same
+/// actions lead to the same future.
+pub trait Simulator: Send {
+    /// A copy of the present state.
+    fn fork(&self) -> Box<dyn Simulator>;
+
+    /// What scripted drivers see.
+    fn privileged(&self) -> PrivilegedView;
+
+    /// As [`Environment::step`], for actions that are known to be valid. At the end of an episode it stays as it is.
+    fn step(&mut self, action: &[f32]) -> Outlook;
+}
+
+/// What one [`Simulator::step`] returns.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Outlook {
+    /// Reward received on arriving here.
+    pub reward: f64,
+    /// Whether the episode ends here.
+    pub is_last: bool,
 }
 
 /// What one [`Environment::reset`] or [`Environment::step`] returns.

@@ -53,6 +53,12 @@ pub enum EnvError {
         /// Id of the environment.
         id: String,
     },
+    /// A driver that tries out the future was given an environment that cannot be copied.
+    #[error("environment \"{id}\" has no simulator, drivers cannot try out their plans in it")]
+    NoSimulator {
+        /// Id of the environment.
+        id: String,
+    },
     /// No scripted driver has this name.
     #[error("unknown driver \"{name}\", known drivers: {known}")]
     UnknownDriver {

@@ -48,13 +48,15 @@ pub use backgrounds::{
 };
 pub use conform::{conform, conformed_spec};
 pub use driver::{
-    CutInDriver, Driver, KeepLaneDriver, OvertakeDriver, RandomDriver, RecklessDriver,
-    ScriptedDriver, StandStillDriver,
+    BEST_BLIND_PEDAL, BLIND_PEDALS, BlindDriver, Driver, ForeseeingDriver, KeepLaneDriver,
+    RandomDriver, ReactingDriver, Score, ScriptedDriver, StandStillDriver, WanderDriver, score,
 };
-pub use environment::{EndReason, Environment, NearbyVehicle, PrivilegedView, Transition, class};
+pub use environment::{
+    EndReason, Environment, NearbyVehicle, Outlook, PrivilegedView, Simulator, Transition, class,
+};
 pub use error::{EnvError, RemoteFault};
 pub use highway::{TrafficReport, traffic_without_collisions};
 pub use noise::{GaussianNoise, NoiseTarget};
-pub use registry::{ids, make, spec, steps_per_s};
+pub use registry::{ids, make, make_without_pictures, spec, steps_per_s};
 pub use vector::{NextEpisode, VectorEnvironment, VectorStep, common_spec};
 pub use wrappers::{ActionRepeat, Guard, Noisy, Resize, Statistics, TimeLimit, check_transition};

@@ -56,6 +56,23 @@ pub fn make(config: &EnvConfig) -> Result<Box<dyn Environment>, EnvError> {
     Ok(Box::new(Guard::new(with_noise(env, config)?)))
 }
 
+/// The highway that `config` describes, without pictures: images are empty, and all else is as [`make`] makes it. For
+/// drivers that look at the world itself.
+///
+/// # Errors
+/// As [`make`]; if the id is none of the highway's.
+pub fn make_without_pictures(config: &EnvConfig) -> Result<Box<dyn Environment>, EnvError> {
+    let (family, id) = find(&config.id)?;
+    if family.name != HIGHWAY.name {
+        return Err(EnvError::NoPrivilegedView {
+            id: config.id.clone(),
+        });
+    }
+    let mut spec = spec(config)?;
+    (spec.image.height, spec.image.width) = (0, 0);
+    Ok(Box::new(Guard::new((family.make)(id, config, spec)?)))
+}
+
 /// `env` behind the noise that `config` asks for.
 pub(crate) fn with_noise(
     env: Box<dyn Environment>,

@@ -6,7 +6,8 @@ use std::collections::BTreeSet;
 
 use isodream_core::config::{EnvConfig, RepeatReward};
 use isodream_envs::{
-    EndReason, EnvError, Environment, ScriptedDriver, Transition, class, ids, make, spec,
+    BEST_BLIND_PEDAL, BlindDriver, Driver, EndReason, EnvError, Environment, ScriptedDriver,
+    Transition, class, ids, make, make_without_pictures, score, spec,
 };
 use proptest::prelude::*;
 
@@ -46,7 +47,7 @@ fn the_same_seed_and_actions_give_the_same_bytes() {
     for id in ids().iter().filter(|id| id.starts_with("highway/")) {
         let first = episode(env(id).as_mut(), ScriptedDriver::Random, 3);
         let mut used = env(id);
-        episode(used.as_mut(), ScriptedDriver::Overtake, 8);
+        episode(used.as_mut(), ScriptedDriver::Reacting, 8);
         let again = episode(used.as_mut(), ScriptedDriver::Random, 3);
         assert_eq!(first, again, "{id}");
         let other = episode(used.as_mut(), ScriptedDriver::Random, 4);
@@ -56,8 +57,8 @@ fn the_same_seed_and_actions_give_the_same_bytes() {
 
 #[test]
 fn day_and_night_differ_in_pictures_only() {
-    let (day, _) = episode(env("highway/day").as_mut(), ScriptedDriver::Overtake, 5);
-    let (night, _) = episode(env("highway/night").as_mut(), ScriptedDriver::Overtake, 5);
+    let (day, _) = episode(env("highway/day").as_mut(), ScriptedDriver::Reacting, 5);
+    let (night, _) = episode(env("highway/night").as_mut(), ScriptedDriver::Reacting, 5);
     assert_eq!(day.len(), night.len());
     let brightness = |t: &Transition| t.image.iter().map(|&b| u64::from(b)).sum::<u64>();
     for (day, night) in day.iter().zip(&night) {
@@ -77,10 +78,10 @@ fn drifting_weather_changes_pictures_only_and_follows_from_the_seed() {
         .unwrap()
     };
     for id in ["highway/day", "highway/night"] {
-        let (fine, _) = episode(env(id).as_mut(), ScriptedDriver::Overtake, 5);
+        let (fine, _) = episode(env(id).as_mut(), ScriptedDriver::Reacting, 5);
         let mut env = drifting(id);
-        let (drift, _) = episode(env.as_mut(), ScriptedDriver::Overtake, 5);
-        let (again, _) = episode(env.as_mut(), ScriptedDriver::Overtake, 5);
+        let (drift, _) = episode(env.as_mut(), ScriptedDriver::Reacting, 5);
+        let (again, _) = episode(env.as_mut(), ScriptedDriver::Reacting, 5);
         assert_eq!(drift, again, "{id}");
         assert_eq!(drift.len(), fine.len());
         for (drift, fine) in drift.iter().zip(&fine) {
@@ -236,50 +237,98 @@ fn the_spec_is_that_of_the_made_environment() {
     assert_eq!(made.segmentation().unwrap().len(), 33 * 33);
 }
 
-fn mean_return(env: &mut dyn Environment, driver: ScriptedDriver, seeds: u64) -> f64 {
-    let sum: f64 = (0..seeds)
-        .map(|seed| total(&episode(env, driver, seed).0))
-        .sum();
-    sum / seeds as f64
-}
-
-#[test]
-fn better_drivers_earn_more() {
-    for (id, seeds) in [("highway/day", 10), ("highway/s_curve/day", 4)] {
-        let mut env = env(id);
-        let returns = [
-            ScriptedDriver::Overtake,
-            ScriptedDriver::KeepLane,
-            ScriptedDriver::Reckless,
-            ScriptedDriver::StandStill,
-            ScriptedDriver::Random,
-        ]
-        .map(|driver| mean_return(env.as_mut(), driver, seeds));
-        println!("{id}: {returns:.1?}");
-        assert!(returns[0] > returns[1] + 3.0);
-        assert!(returns[1] > returns[2] + 10.0);
-        assert!(returns[2] > returns[3] + 30.0);
-        assert!(returns[3] > returns[4]);
-    }
-}
-
-#[test]
-fn in_a_jam_whoever_cuts_in_earns_more_than_whoever_waits() {
-    let mut env = env("highway/jam/day");
-    let returns = [
-        ScriptedDriver::CutIn,
-        ScriptedDriver::Overtake,
+/// Returns on the road of `id`, which differ by what the driver looks at.
+fn ranking(id: &str) -> [f64; 4] {
+    const EPISODES: u64 = 6;
+    let mut env = make_without_pictures(&EnvConfig {
+        id: id.into(),
+        ..EnvConfig::default()
+    })
+    .unwrap();
+    let drivers = [
+        ScriptedDriver::Blind,
         ScriptedDriver::KeepLane,
-    ]
-    .map(|driver| mean_return(env.as_mut(), driver, 8));
-    println!("{returns:.1?}");
-    assert!(returns[0] > returns[1] + 30.0);
-    assert!(returns[1] > returns[2] - 2.0);
-    for seed in 0..4 {
-        let (transitions, metrics) = episode(env.as_mut(), ScriptedDriver::CutIn, seed);
-        assert!(transitions.iter().any(|t| t.interaction));
-        assert_eq!(metric(&metrics, "collisions"), 0.0);
+        ScriptedDriver::Reacting,
+        ScriptedDriver::Foreseeing,
+    ];
+    drivers.map(|scripted| {
+        score(env.as_mut(), EPISODES, &|seed| scripted.driver(seed))
+            .unwrap()
+            .mean()
+    })
+}
+
+/// With fewer episodes than `isodream env drivers` has, so that the bounds are wider than those it is built for: 0.5,
+/// 0.7 and 0.9.
+#[test]
+fn looking_pays_and_looking_ahead_pays_more() {
+    for id in ["highway/day", "highway/straight/day"] {
+        let [blind, keep_lane, reacting, foreseeing] = ranking(id);
+        println!("{id}: {blind:.1} {keep_lane:.1} {reacting:.1} {foreseeing:.1}");
+        assert!(blind < 0.65 * keep_lane, "{id}");
+        assert!(keep_lane < 0.85 * reacting, "{id}");
+        assert!(reacting < 0.97 * foreseeing, "{id}");
     }
+}
+
+#[test]
+fn pushing_harder_never_pays() {
+    let mut env = make_without_pictures(&EnvConfig::default()).unwrap();
+    let mut earned = |pedal| {
+        let blind = |_| Box::new(BlindDriver::new(pedal)) as Box<dyn Driver>;
+        score(env.as_mut(), 40, &blind).unwrap().mean()
+    };
+    let [none, best, pushing, flooring] = [0.0, BEST_BLIND_PEDAL, 0.3, 1.0].map(&mut earned);
+    println!("{none:.1} {best:.1} {pushing:.1} {flooring:.1}");
+    assert!(none < 1.0 && best > 25.0);
+    assert!(pushing < best - 5.0 && flooring < pushing);
+}
+
+#[test]
+fn a_simulator_has_the_future_of_its_environment() {
+    let mut env = env("highway/day");
+    let mut driver = ScriptedDriver::Wander.driver(3);
+    env.reset(3).unwrap();
+    for _ in 0..40 {
+        let action = driver.act(env.as_ref()).unwrap();
+        env.step(&action).unwrap();
+    }
+    let mut future = env.simulator().unwrap();
+    let untouched = future.fork();
+    for _ in 0..80 {
+        let action = driver.act(env.as_ref()).unwrap();
+        let row = env.step(&action).unwrap();
+        let outlook = future.step(&action);
+        assert_eq!(
+            (outlook.reward as f32, outlook.is_last),
+            (row.reward, row.is_last)
+        );
+        assert_eq!(Some(future.privileged()), env.privileged());
+        if row.is_last {
+            break;
+        }
+    }
+    assert_ne!(untouched.privileged(), future.privileged());
+}
+
+#[test]
+fn the_wandering_driver_holds_its_actions_and_stays_in_their_ranges() {
+    let mut env = env("highway/day");
+    let mut driver = ScriptedDriver::Wander.driver(1);
+    let (mut steps, mut held) = (0, 0);
+    for seed in 0..4 {
+        let mut row = env.reset(seed).unwrap();
+        let mut before = f32::NAN;
+        while !row.is_last {
+            let action = driver.act(env.as_ref()).unwrap();
+            assert!(action[0].abs() <= 0.29 && (-0.34..=1.0).contains(&action[1]));
+            steps += 1;
+            held += u32::from((action[1] - before).abs() < 0.07);
+            before = action[1];
+            row = env.step(&action).unwrap();
+        }
+    }
+    assert!(steps > 100 && 10 * held > 7 * steps, "{held} of {steps}");
 }
 
 #[test]
@@ -293,15 +342,15 @@ fn every_density_can_be_driven_and_an_empty_road_is_fastest() {
         env.reset(2).unwrap();
         let cars = env.privileged().unwrap().vehicles;
         assert_eq!(cars.len(), vehicles as usize);
-        let near = cars.iter().filter(|car| car.ahead_m.abs() < 100.0).count();
+        let near = cars.iter().filter(|car| car.ahead_m.abs() < 140.0).count();
         assert_eq!(near, cars.len());
-        let (transitions, metrics) = episode(env.as_mut(), ScriptedDriver::Overtake, 2);
+        let (transitions, metrics) = episode(env.as_mut(), ScriptedDriver::Reacting, 2);
         assert_eq!(transitions.len(), 251, "{vehicles} cars");
         assert_eq!(metric(&metrics, "collisions"), 0.0, "{vehicles} cars");
         total(&transitions)
     });
     println!("{returns:.1?}");
-    assert!(returns[0] > returns[1] + 20.0 && returns[0] > returns[2] + 40.0);
+    assert!(returns[0] > returns[1] + 20.0 && returns[0] > returns[2] + 30.0);
     assert!(returns[2] > 20.0, "traffic jams: {returns:?}");
 }
 
@@ -326,33 +375,6 @@ fn nobody_is_stuck_at_the_start_for_waiting_in_a_queue() {
 }
 
 #[test]
-fn driving_blindly_does_not_pay() {
-    let mut env = env("highway/day");
-    let seeds = 0..6;
-    let keep_lane: f64 = seeds
-        .clone()
-        .map(|seed| total(&episode(env.as_mut(), ScriptedDriver::KeepLane, seed).0))
-        .sum();
-    for pedal in [0.2, 0.5, 1.0] {
-        let mut sum = 0.0;
-        for seed in seeds.clone() {
-            sum += f64::from(env.reset(seed).unwrap().reward);
-            loop {
-                let transition = env.step(&[0.0, pedal]).unwrap();
-                sum += f64::from(transition.reward);
-                if transition.is_last {
-                    break;
-                }
-            }
-        }
-        assert!(
-            sum < 0.9 * keep_lane,
-            "pedal {pedal}: {sum:.1} of {keep_lane:.1}"
-        );
-    }
-}
-
-#[test]
 fn overtaking_causes_interactions_and_keeping_the_lane_does_not() {
     let mut env = env("highway/day");
     let mut count = |driver| -> f64 {
@@ -366,7 +388,7 @@ fn overtaking_causes_interactions_and_keeping_the_lane_does_not() {
             })
             .sum()
     };
-    assert!(count(ScriptedDriver::Overtake) >= 3.0);
+    assert!(count(ScriptedDriver::Reacting) >= 3.0);
     assert_eq!(count(ScriptedDriver::KeepLane), 0.0);
 }
 

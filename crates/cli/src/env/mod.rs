@@ -1,6 +1,7 @@
 //! `isodream env`: the worlds themselves, without learning.
 
 mod bench;
+mod drivers;
 mod list;
 #[cfg(feature = "torch")]
 mod play;
@@ -25,6 +26,8 @@ pub(crate) enum EnvCommand {
     Play(play::PlayArgs),
     /// Let another process drive environments, over gRPC
     Serve(serve::ServeArgs),
+    /// What scripted drivers earn on the highway, and what looking and looking ahead are worth
+    Drivers(drivers::DriversArgs),
     /// Frames and simulator steps per second
     Bench(bench::BenchArgs),
     /// DeepMind Control against dm_control, and whether traffic keeps clear of itself
@@ -39,6 +42,7 @@ pub(crate) fn run(command: &EnvCommand, runtime: &Runtime) -> anyhow::Result<()>
         #[cfg(feature = "torch")]
         EnvCommand::Play(args) => play::run(args),
         EnvCommand::Serve(args) => runtime.block_on(serve::run(args)),
+        EnvCommand::Drivers(args) => drivers::run(args),
         EnvCommand::Bench(args) => bench::run(args),
         #[cfg(feature = "mujoco")]
         EnvCommand::Verify(args) => verify::run(args),

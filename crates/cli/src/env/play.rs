@@ -27,7 +27,7 @@ const PICTURES: usize = 48;
 pub(crate) struct PlayArgs {
     /// Id of the environment, as `isodream env list` names them
     id: String,
-    /// `random`, a scripted driver (`keep_lane`, `overtake`, ..) or `checkpoint`
+    /// `random`, a scripted driver (`keep_lane`, `reacting`, ..) or `checkpoint`
     #[arg(long, default_value = "random")]
     policy: String,
     /// A run directory or a checkpoint folder, for the policy `checkpoint`

@@ -48,7 +48,7 @@ pub enum NoiseTarget {
 #[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EnvConfig {
-    /// Stable name, for example `highway/day` (a closed loop), `highway/straight/night`, `highway/s_curve/day` or `highway/jam/day`;
+    /// Stable name, for example `highway/day` (a closed loop), `highway/night` or `highway/straight/day` (no bends);
     /// or `grpc://host:port` for environments of another process, which are made to fit what follows.
     pub id: String,
     /// Height and width of the picture in pixels; the networks take 64.

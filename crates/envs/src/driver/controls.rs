@@ -5,20 +5,46 @@ use crate::{EnvError, Environment};
 
 pub(super) const DESIRED_M_S: f64 = 24.0;
 
+/// How a driver follows the car ahead.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Following {
+    /// Gap kept at standstill.
+    pub(super) gap_m: f64,
+    /// Time gap kept while driving.
+    pub(super) headway_s: f64,
+    /// Speed on an empty road.
+    pub(super) desired_m_s: f64,
+}
+
+impl Following {
+    pub(super) const NORMAL: Self = Self {
+        gap_m: 3.0,
+        headway_s: 0.5,
+        desired_m_s: DESIRED_M_S,
+    };
+}
+
 pub(super) fn view(env: &dyn Environment) -> Result<PrivilegedView, EnvError> {
     env.privileged().ok_or_else(|| EnvError::NoPrivilegedView {
         id: env.spec().id.clone(),
     })
 }
 
-/// Steers to the centre of `lane` and follows the nearest leader in `lanes`.
-pub(super) fn drive(view: &PrivilegedView, lane: usize, lanes: u8) -> Vec<f32> {
-    drive_at(view, view.lane_center_m(lane), lanes)
+/// Steers to the centre of `lane` and follows the nearest leader in it and in the lane that the ego is in.
+pub(super) fn drive(view: &PrivilegedView, lane: usize, following: Following) -> Vec<f32> {
+    let lanes = 1 << lane | 1 << view.lane;
+    drive_at(view, view.lane_center_m(lane), lanes, following)
 }
 
-/// As [`drive`], to the lateral position `d_m`.
-pub(super) fn drive_at(view: &PrivilegedView, d_m: f64, lanes: u8) -> Vec<f32> {
-    vec![steer(view, d_m) as f32, pedal(view, lanes) as f32]
+/// Steers to the lateral position `d_m` and follows the nearest leader in `lanes`.
+pub(super) fn drive_at(
+    view: &PrivilegedView,
+    d_m: f64,
+    lanes: u8,
+    following: Following,
+) -> Vec<f32> {
+    let steer = steer(view, d_m);
+    vec![steer as f32, pedal(view, lanes, following) as f32]
 }
 
 /// Steer that brings the ego to the lateral position `d_m`.
@@ -34,11 +60,9 @@ pub(super) fn steer(view: &PrivilegedView, d_m: f64) -> f64 {
     (-wheel_rad / view.max_steer_rad).clamp(-1.0, 1.0)
 }
 
-fn pedal(view: &PrivilegedView, lanes: u8) -> f64 {
-    const GAP_M: f64 = 3.0;
-    const HEADWAY_S: f64 = 0.5;
+fn pedal(view: &PrivilegedView, lanes: u8, following: Following) -> f64 {
     let speed = view.speed_m_s;
-    let free = 1.0 - (speed / DESIRED_M_S).powi(4);
+    let free = 1.0 - (speed / following.desired_m_s).powi(4);
     let Some((gap, car)) = leader(view, lanes) else {
         return free.clamp(-1.0, 1.0);
     };
@@ -47,7 +71,8 @@ fn pedal(view: &PrivilegedView, lanes: u8) -> f64 {
     if needed > 3.5 || gap < 1.0 && speed > 0.5 {
         return -1.0;
     }
-    let wanted = GAP_M + (speed * HEADWAY_S + speed * closing / 7.0).max(0.0);
+    let dynamic = speed * following.headway_s + speed * closing / 7.0;
+    let wanted = following.gap_m + dynamic.max(0.0);
     (free - (wanted / gap.max(0.1)).powi(2)).clamp(-1.0, 1.0)
 }
 

@@ -1,15 +1,29 @@
-//! Scripted drivers: yardsticks for a learned one, and a source of varied episodes for tests.
+//! Scripted drivers: yardsticks for a learned one, and a source of varied episodes.
 
 mod controls;
-mod overtake;
+mod foreseeing;
+mod reacting;
+mod score;
 mod simple;
+mod wander;
 
 use std::fmt;
 use std::str::FromStr;
 
-pub use self::overtake::{CutInDriver, OvertakeDriver};
-pub use self::simple::{KeepLaneDriver, RandomDriver, RecklessDriver, StandStillDriver};
+pub use self::foreseeing::ForeseeingDriver;
+pub use self::reacting::ReactingDriver;
+pub use self::score::{Score, score};
+pub use self::simple::{BlindDriver, KeepLaneDriver, RandomDriver, StandStillDriver};
+pub use self::wander::WanderDriver;
 use crate::{EnvError, Environment};
+
+/// The pedal that earns most on the highway if it is held for a whole episode.
+pub const BEST_BLIND_PEDAL: f32 = 0.07;
+
+/// Pedals among which the best one is looked for: close together where cruising is.
+pub const BLIND_PEDALS: [f32; 16] = [
+    -0.5, 0.0, 0.04, 0.06, 0.07, 0.08, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0,
+];
 
 /// Chooses actions by looking at the world itself, not at its image.
 pub trait Driver: Send {
@@ -23,52 +37,57 @@ pub trait Driver: Send {
 /// The scripted drivers by name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ScriptedDriver {
+    /// [`ForeseeingDriver`].
+    Foreseeing,
+    /// [`ReactingDriver`].
+    Reacting,
     /// [`KeepLaneDriver`].
     KeepLane,
-    /// [`OvertakeDriver`].
-    Overtake,
-    /// [`RandomDriver`].
-    Random,
-    /// [`CutInDriver`].
-    CutIn,
-    /// [`RecklessDriver`].
-    Reckless,
+    /// [`BlindDriver`] with [`BEST_BLIND_PEDAL`].
+    Blind,
     /// [`StandStillDriver`].
     StandStill,
+    /// [`RandomDriver`].
+    Random,
+    /// [`WanderDriver`].
+    Wander,
 }
 
 impl ScriptedDriver {
-    /// All drivers.
-    pub const ALL: [Self; 6] = [
+    /// All drivers, the best one first.
+    pub const ALL: [Self; 7] = [
+        Self::Foreseeing,
+        Self::Reacting,
         Self::KeepLane,
-        Self::Overtake,
-        Self::CutIn,
-        Self::Reckless,
-        Self::Random,
+        Self::Blind,
         Self::StandStill,
+        Self::Random,
+        Self::Wander,
     ];
 
     /// Stable name, as on command lines and in metrics.
     pub fn as_str(self) -> &'static str {
         match self {
+            Self::Foreseeing => "foreseeing",
+            Self::Reacting => "reacting",
             Self::KeepLane => "keep_lane",
-            Self::Overtake => "overtake",
-            Self::Random => "random",
-            Self::CutIn => "cut_in",
-            Self::Reckless => "reckless",
+            Self::Blind => "blind",
             Self::StandStill => "stand_still",
+            Self::Random => "random",
+            Self::Wander => "wander",
         }
     }
 
-    /// A fresh driver; `seed` matters to the random one only. Make one per episode.
+    /// A fresh driver; `seed` matters to those that draw their actions. Make one per episode.
     pub fn driver(self, seed: u64) -> Box<dyn Driver> {
         match self {
+            Self::Foreseeing => Box::new(ForeseeingDriver::default()),
+            Self::Reacting => Box::new(ReactingDriver::default()),
             Self::KeepLane => Box::new(KeepLaneDriver::default()),
-            Self::Overtake => Box::new(OvertakeDriver::default()),
-            Self::Random => Box::new(RandomDriver::new(seed)),
-            Self::CutIn => Box::new(CutInDriver::default()),
-            Self::Reckless => Box::new(RecklessDriver::default()),
+            Self::Blind => Box::new(BlindDriver::new(BEST_BLIND_PEDAL)),
             Self::StandStill => Box::new(StandStillDriver),
+            Self::Random => Box::new(RandomDriver::new(seed)),
+            Self::Wander => Box::new(WanderDriver::new(seed)),
         }
     }
 }

@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::Driver;
-use super::controls::{drive, steer, view};
+use super::controls::{Following, drive, steer, view};
 use crate::{EnvError, Environment};
 
 /// Draws each component uniformly from `[-1, 1]`.
@@ -41,7 +41,30 @@ impl Driver for KeepLaneDriver {
     fn act(&mut self, env: &dyn Environment) -> Result<Vec<f32>, EnvError> {
         let view = view(env)?;
         let lane = *self.lane.get_or_insert(view.lane);
-        Ok(drive(&view, lane, 1 << lane | 1 << view.lane))
+        Ok(drive(&view, lane, Following::NORMAL))
+    }
+}
+
+/// Keeps the lane it starts in and holds the pedal, whoever is in the way.
+#[derive(Debug, Clone)]
+pub struct BlindDriver {
+    pedal: f32,
+    lane: Option<usize>,
+}
+
+impl BlindDriver {
+    /// Holds `pedal`: 1 is full throttle, -1 the full brake.
+    pub fn new(pedal: f32) -> Self {
+        Self { pedal, lane: None }
+    }
+}
+
+impl Driver for BlindDriver {
+    fn act(&mut self, env: &dyn Environment) -> Result<Vec<f32>, EnvError> {
+        let view = view(env)?;
+        let lane = *self.lane.get_or_insert(view.lane);
+        let steer = steer(&view, view.lane_center_m(lane)) as f32;
+        Ok(vec![steer, self.pedal])
     }
 }
 
@@ -52,24 +75,5 @@ pub struct StandStillDriver;
 impl Driver for StandStillDriver {
     fn act(&mut self, _env: &dyn Environment) -> Result<Vec<f32>, EnvError> {
         Ok(vec![0.0, -1.0])
-    }
-}
-
-/// Full throttle through the traffic, weaving between the outer lanes without regard for anyone.
-#[derive(Debug, Clone, Default)]
-pub struct RecklessDriver {
-    steps: usize,
-}
-
-/// Agent steps for which the reckless driver makes for one side of the road.
-const WEAVE_STEPS: usize = 20;
-
-impl Driver for RecklessDriver {
-    fn act(&mut self, env: &dyn Environment) -> Result<Vec<f32>, EnvError> {
-        let view = view(env)?;
-        let to_the_left = (self.steps / WEAVE_STEPS).is_multiple_of(2);
-        self.steps += 1;
-        let lane = if to_the_left { view.lanes - 1 } else { 0 };
-        Ok(vec![steer(&view, view.lane_center_m(lane)) as f32, 1.0])
     }
 }

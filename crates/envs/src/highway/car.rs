@@ -16,21 +16,18 @@ const CENTRING_PER_S: f64 = 0.9;
 /// Closer than this to its lane's centre a lane change is over.
 const CENTRED_M: f64 = 0.3;
 
-/// How long and how hard one brakes after being shoved: pushing others along must not pay.
-const SHOCKED_S: f64 = 2.0;
-/// How long one then drives on before braking again: without it, an ego that keeps its foot down would pin itself to
-/// the car ahead for ever, and no agent would find out that letting go pays.
-const COMPOSED_S: f64 = 1.5;
-const SHOCK_BRAKE_M_S2: f64 = 7.0;
-/// The impulse that shocks a driver, and the time over which several small ones add up to it.
-const SHOCK_NS: f64 = 1_500.0;
+/// A driver who is shoved brakes by this much per N s of [`Car::shoved_ns`], up to the most.
+const SHOVE_BRAKE_PER_NS: f64 = 0.003;
+const SHOVE_BRAKE_M_S2: f64 = 9.0;
+/// What is left of a shove no longer keeps the driver from speeding up.
+const NOTICED_M_S2: f64 = 0.1;
+/// The time over which a shove is forgotten, and over which small ones add up.
 const SHOVES_ADD_UP_S: f64 = 1.0;
-const SHOCK_FROM_M_S: f64 = 1.0;
-/// Speed on an empty road of those in the rightmost lane, how much more it is per lane to the left, and
-/// how much more at random: 8 to 16 m/s over all lanes.
-const SLOWEST_M_S: f64 = 8.0;
-const FASTER_PER_LANE_M_S: f64 = 1.7;
-const SPREAD_M_S: f64 = 3.0;
+/// Speed on an empty road.
+const LEAST_M_S: f64 = 18.0;
+const MOST_M_S: f64 = 24.0;
+/// How much slower or faster than its lane a car drives where it can.
+const EAGERNESS: std::ops::Range<f64> = 0.9..1.15;
 
 /// Outer form of a car.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -89,8 +86,8 @@ pub(crate) struct Car {
     pub(crate) build: Build,
     pub(crate) paint: u8,
     pub(crate) until_decision_s: f64,
-    /// For how much longer the driver brakes because of a collision; below zero, the time since.
-    pub(crate) shocked_s: f64,
+    /// Its speed where it can choose, in paces of its lane.
+    pub(crate) eagerness: f64,
     /// Impulse from the ego that the driver still feels.
     shoved_ns: f64,
 }
@@ -99,9 +96,6 @@ impl Car {
     /// A random driver in a random car at rest in the middle of `lane`.
     pub(crate) fn random(rng: &mut ChaCha8Rng, lane: usize, s: f64) -> Self {
         let build = Build::ALL[rng.random_range(0..Build::ALL.len())];
-        // Whoever is in a hurry drives on the left.
-        let desired_m_s =
-            SLOWEST_M_S + FASTER_PER_LANE_M_S * lane as f64 + rng.random_range(0.0..SPREAD_M_S);
         Self {
             at: Frenet {
                 s,
@@ -112,7 +106,7 @@ impl Car {
             lane,
             acceleration: 0.0,
             temper: Temper {
-                desired_m_s,
+                desired_m_s: rng.random_range(LEAST_M_S..MOST_M_S),
                 gap_m: rng.random_range(2.0..3.5),
                 headway_s: rng.random_range(0.7..1.2),
                 accelerate_m_s2: rng.random_range(1.5..3.0),
@@ -121,7 +115,7 @@ impl Car {
             build,
             paint: rng.random(),
             until_decision_s: rng.random_range(0.0..1.0),
-            shocked_s: -COMPOSED_S,
+            eagerness: rng.random_range(EAGERNESS),
             shoved_ns: 0.0,
         }
     }
@@ -156,22 +150,26 @@ impl Car {
         tangent * self.speed + tangent.left() * self.sideways
     }
 
-    /// Tells the driver of an impulse on the car. One hard hit makes the driver brake, and so does being pushed along.
-    pub(crate) fn shove(&mut self, impulse_ns: f64) {
-        self.shoved_ns += impulse_ns;
-        // Who stands already gains nothing from braking, and must be free to drive off.
-        let composed = self.shocked_s <= -COMPOSED_S;
-        if composed && self.shoved_ns > SHOCK_NS && self.speed > SHOCK_FROM_M_S {
-            self.shocked_s = SHOCKED_S;
+    /// How this driver follows others where the traffic's pace is `pace_m_s`.
+    pub(crate) fn temper_at(&self, pace_m_s: f64) -> Temper {
+        let desired_m_s = (self.eagerness * pace_m_s).min(self.temper.desired_m_s);
+        Temper {
+            desired_m_s,
+            ..self.temper
         }
     }
 
-    /// What a driver who was hit does to the acceleration that traffic asks for.
-    pub(crate) fn after_shock(&mut self, wanted: f64) -> f64 {
-        let shocked = self.shocked_s > 0.0;
-        self.shocked_s = (self.shocked_s - DT).max(-COMPOSED_S);
-        if shocked {
-            wanted.min(-SHOCK_BRAKE_M_S2)
+    /// Tells the driver of an impulse on the car.
+    pub(crate) fn shove(&mut self, impulse_ns: f64) {
+        self.shoved_ns += impulse_ns;
+    }
+
+    /// What a driver who is shoved makes of the acceleration that traffic asks for: the harder the shove, the harder it
+    /// brakes, so that pushing others along does not pay.
+    pub(crate) fn under_shove(&self, wanted: f64) -> f64 {
+        let brake = (SHOVE_BRAKE_PER_NS * self.shoved_ns).min(SHOVE_BRAKE_M_S2);
+        if brake > NOTICED_M_S2 {
+            wanted.min(-brake)
         } else {
             wanted
         }

@@ -389,15 +389,22 @@ mod tests {
     }
 
     #[test]
-    fn being_shoved_hard_makes_the_other_driver_brake() {
+    fn the_harder_the_shove_the_harder_the_other_driver_brakes_and_not_for_long() {
         let road = Map::Loop.road();
-        let brakes_after = |ego_speed| {
+        let after = |ego_speed| {
             let mut cars = [car_at(104.0, 0.0, 10.0)];
             resolve_ego(road, &mut ego_at(100.0, 0.0, ego_speed), &mut cars);
-            cars[0].after_shock(1.0) < -5.0
+            let [car] = cars;
+            car
         };
-        assert!(brakes_after(14.0));
-        assert!(!brakes_after(10.5), "a gentle touch is none");
+        let brakes = [10.5, 11.0, 12.0].map(|speed| after(speed).under_shove(1.0));
+        assert!(brakes.is_sorted_by(|a, b| a > b), "{brakes:?}");
+        assert!(brakes[0] < 0.0 && brakes[2] < -3.0, "{brakes:?}");
+        let mut car = after(12.0);
+        for _ in 0..100 {
+            car.advance(road);
+        }
+        assert_eq!(car.under_shove(1.0), 1.0);
     }
 
     #[test]

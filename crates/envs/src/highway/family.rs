@@ -8,7 +8,7 @@ use crate::id::EnvId;
 use crate::registry::{Family, require};
 use crate::{EnvError, Environment};
 
-/// `highway/day`, `highway/jam/night` and the like.
+/// `highway/day`, `highway/straight/night` and the like.
 pub(crate) const HIGHWAY: Family = Family {
     name: "highway",
     frames_per_s: 20.0,

@@ -17,7 +17,7 @@ const LEAST_SPEED_M_S: f64 = 1.0;
 /// The lane that the driver of `cars[me]` wants to change to. `column` starts with the bodies of `cars`.
 pub(crate) fn decide(road: &Road, cars: &[Car], column: &Column, me: usize) -> Option<usize> {
     let car = &cars[me];
-    if car.is_changing_lane() || car.speed < LEAST_SPEED_M_S || car.shocked_s > 0.0 {
+    if car.is_changing_lane() || car.speed < LEAST_SPEED_M_S {
         return None;
     }
     let candidates = [car.lane.checked_sub(1), Some(car.lane + 1)];

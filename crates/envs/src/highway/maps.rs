@@ -1,4 +1,4 @@
-//! The roads there are: a closed loop like the paper's Town04, an endless straight and an endless row of S-bends.
+//! The roads there are: a closed loop like the paper's Town04, and an endless straight.
 
 use std::f64::consts::TAU;
 use std::sync::LazyLock;
@@ -13,8 +13,6 @@ pub(crate) enum Map {
     Loop,
     /// A straight without end.
     Straight,
-    /// Bends to the left and right by turns, without end. Their curvature rises and falls linearly.
-    SCurve,
 }
 
 impl Map {
@@ -22,11 +20,9 @@ impl Map {
     pub(crate) fn road(self) -> &'static Road {
         static LOOP: LazyLock<Road> = LazyLock::new(closed_loop);
         static STRAIGHT: LazyLock<Road> = LazyLock::new(straight);
-        static S_CURVE: LazyLock<Road> = LazyLock::new(s_curve);
         match self {
             Self::Loop => &LOOP,
             Self::Straight => &STRAIGHT,
-            Self::SCurve => &S_CURVE,
         }
     }
 }
@@ -97,22 +93,6 @@ fn straight() -> Road {
     endless(STRAIGHT_PERIOD, |_| 0.0)
 }
 
-/// Radius of the S-bends where they are sharpest, and the lengths of their parts.
-const S_RADIUS_M: f64 = 220.0;
-const S_STRAIGHT_M: f64 = 40.0;
-const S_SLOPE_M: f64 = 60.0;
-const S_HALF_PERIOD: usize = 230;
-
-fn s_curve() -> Road {
-    endless(2 * S_HALF_PERIOD, |s| {
-        let half = S_HALF_PERIOD as f64;
-        let (within, side) = if s < half { (s, 1.0) } else { (s - half, -1.0) };
-        // A straight, a slope up, the bend itself, and a slope down into the next straight.
-        let slope = (within - S_STRAIGHT_M).min(half - within) / S_SLOPE_M;
-        side * slope.clamp(0.0, 1.0) / S_RADIUS_M
-    })
-}
-
 /// The endless road that repeats `period_m` metres of `curvature` (per metre, over metres).
 fn endless(period_m: usize, curvature: impl Fn(f64) -> f64) -> Road {
     const FINE: usize = 100;
@@ -167,17 +147,6 @@ mod tests {
     }
 
     #[test]
-    fn the_s_bends_are_alike_to_both_sides_and_rise_in_slopes() {
-        let (left, right) = sharpest(Map::SCurve);
-        assert!((left - 1.0 / S_RADIUS_M).abs() < 1e-12 && (left + right).abs() < 1e-12);
-        let curvatures = curvatures(Map::SCurve);
-        let steepest = 1.0 / (S_RADIUS_M * S_SLOPE_M);
-        for pair in curvatures.windows(2) {
-            assert!((pair[1] - pair[0]).abs() < steepest * 1.001, "{pair:?}");
-        }
-    }
-
-    #[test]
     fn the_straight_is_straight() {
         let road = Map::Straight.road();
         for s in [3.3, 999.9, 1_000.2, 123_456.7, -2_000.4] {
@@ -188,7 +157,7 @@ mod tests {
 
     #[test]
     fn no_road_has_a_kink_where_its_table_begins_again() {
-        for map in [Map::Loop, Map::Straight, Map::SCurve] {
+        for map in [Map::Loop, Map::Straight] {
             let road = map.road();
             for d in [-7.0, 0.0, 7.0] {
                 for round in [0.0, 1.0, 2.0] {

@@ -11,6 +11,10 @@ pub(crate) struct Metrics {
     frames: u32,
     distance_m: f64,
     impulse_ns: f64,
+    agent_steps: u32,
+    /// Agent steps in which the ego touched anything.
+    contact_steps: u32,
+    touched: bool,
     vehicle_contacts: Contacts,
     barrier_contacts: Contacts,
     lane: usize,
@@ -45,6 +49,9 @@ impl Metrics {
             frames: 0,
             distance_m: 0.0,
             impulse_ns: 0.0,
+            agent_steps: 0,
+            contact_steps: 0,
+            touched: false,
             vehicle_contacts: Contacts::default(),
             barrier_contacts: Contacts::default(),
             lane,
@@ -58,6 +65,7 @@ impl Metrics {
         self.frames += 1;
         self.distance_m += distance_m;
         self.impulse_ns += impulses.vehicles + impulses.barriers;
+        self.touched |= impulses.vehicles + impulses.barriers > 0.0;
         self.vehicle_contacts.frame(impulses.vehicles > 0.0);
         self.barrier_contacts.frame(impulses.barriers > 0.0);
         if lane != self.lane {
@@ -66,12 +74,19 @@ impl Metrics {
         }
     }
 
-    /// Tells whether the agent step held an interaction; consecutive ones are one.
+    /// Ends an agent step and tells whether it held an interaction; consecutive ones are one.
     pub(crate) fn agent_step(&mut self, interaction: bool) {
+        self.agent_steps += 1;
+        self.contact_steps += u32::from(self.touched);
+        self.touched = false;
         if interaction && !self.interacting {
             self.interactions += 1;
         }
         self.interacting = interaction;
+    }
+
+    fn contact_share(&self) -> f64 {
+        f64::from(self.contact_steps) / f64::from(self.agent_steps.max(1))
     }
 
     pub(crate) fn named(&self) -> Vec<(&'static str, f64)> {
@@ -79,6 +94,7 @@ impl Metrics {
         vec![
             ("distance_m", self.distance_m),
             ("mean_speed_m_s", self.distance_m / seconds),
+            ("contact_share", self.contact_share()),
             ("collisions", f64::from(self.vehicle_contacts.count)),
             ("barrier_hits", f64::from(self.barrier_contacts.count)),
             ("impulse_ns", self.impulse_ns),
@@ -107,6 +123,23 @@ mod tests {
         }
         assert!(metrics.named().contains(&("collisions", 2.0)));
         assert!(metrics.named().contains(&("impulse_ns", 300.0)));
+    }
+
+    #[test]
+    fn a_step_with_contact_in_any_frame_is_one_in_contact() {
+        let mut metrics = Metrics::new(0);
+        for step in 0..4 {
+            for frame in 0..4 {
+                let vehicles = if step == 1 && frame < 2 { 50.0 } else { 0.0 };
+                let impulses = Impulses {
+                    vehicles,
+                    barriers: 0.0,
+                };
+                metrics.frame(0.5, 0, impulses);
+            }
+            metrics.agent_step(false);
+        }
+        assert!(metrics.named().contains(&("contact_share", 0.25)));
     }
 
     #[test]

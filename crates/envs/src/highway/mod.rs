@@ -9,7 +9,6 @@ mod column;
 mod ego;
 pub(crate) mod family;
 mod following;
-mod jam;
 mod lane_change;
 mod maps;
 mod metrics;
@@ -19,6 +18,7 @@ mod scene;
 mod soak;
 mod spawn;
 mod traffic;
+mod waves;
 mod weather;
 mod world;
 
@@ -38,7 +38,7 @@ pub(crate) use self::weather::Weather;
 pub(crate) use self::weather::tests::weather;
 pub(crate) use self::world::World;
 
-use crate::environment::{EndReason, PrivilegedView};
+use crate::environment::{EndReason, Outlook, PrivilegedView, Simulator};
 use crate::render::Renderer;
 use crate::{EnvError, Environment, Transition};
 
@@ -52,7 +52,8 @@ pub(crate) struct Highway {
     repeat_reward: RepeatReward,
     vehicles: u32,
     weather_drift: bool,
-    renderer: Renderer,
+    /// `None` where pictures have no pixels.
+    renderer: Option<Renderer>,
     world: Option<World>,
     steps: u32,
     is_over: bool,
@@ -61,9 +62,11 @@ pub(crate) struct Highway {
 impl Highway {
     pub(crate) const ACTION_DIM: usize = 2;
 
+    /// Without pictures where those of `spec` have no pixels.
     pub(crate) fn new(config: &EnvConfig, spec: EnvSpec, scene: Scene) -> Self {
+        let height = spec.image.height;
         Self {
-            renderer: Renderer::new(spec.image.height, scene.light),
+            renderer: (height > 0).then(|| Renderer::new(height, scene.light)),
             spec,
             scene,
             repeat_reward: config.repeat_reward,
@@ -72,6 +75,13 @@ impl Highway {
             world: None,
             steps: 0,
             is_over: false,
+        }
+    }
+
+    fn picture(&mut self) -> Vec<u8> {
+        match (&mut self.renderer, &self.world) {
+            (Some(renderer), Some(world)) => renderer.render(world),
+            _ => Vec::new(),
         }
     }
 
@@ -102,10 +112,10 @@ impl Environment for Highway {
         if self.weather_drift {
             world.let_weather_drift(seed);
         }
-        let world = self.world.insert(world);
+        self.world = Some(world);
         self.steps = 0;
         self.is_over = false;
-        Ok(Transition::first(self.renderer.render(world)))
+        Ok(Transition::first(self.picture()))
     }
 
     fn step(&mut self, action: &[f32]) -> Result<Transition, EnvError> {
@@ -114,18 +124,9 @@ impl Environment for Highway {
         if self.is_over {
             return Err(EnvError::EpisodeOver);
         }
-        let mut sum = 0.0;
-        let mut frames = 0;
-        let mut interaction = false;
-        let mut end_reason = None;
-        while frames < self.spec.action_repeat && end_reason.is_none() {
-            let frame = world.step(steer, pedal);
-            sum += frame.reward;
-            frames += 1;
-            interaction |= frame.interaction;
-            end_reason = frame.end;
-        }
-        world.metrics.agent_step(interaction);
+        let repeated = world.repeat(steer, pedal, self.spec.action_repeat);
+        world.metrics.agent_step(repeated.interaction);
+        let mut end_reason = repeated.end;
         self.steps += 1;
         if self.steps >= self.spec.time_limit {
             end_reason = end_reason.or(Some(EndReason::TimeLimit));
@@ -133,18 +134,19 @@ impl Environment for Highway {
         self.is_over = end_reason.is_some();
         let is_terminal = end_reason.is_some_and(EndReason::is_terminal);
         Ok(Transition {
-            image: self.renderer.render(world),
-            reward: self.repeat_reward.combine(sum, frames),
+            image: self.picture(),
+            reward: self.repeat_reward.combine(repeated.reward, repeated.frames),
             discount: if is_terminal { 0.0 } else { 1.0 },
             is_last: self.is_over,
             is_terminal,
-            interaction,
+            interaction: repeated.interaction,
             end_reason,
         })
     }
 
     fn segmentation(&self) -> Option<Vec<u8>> {
-        self.world.as_ref().map(|_| self.renderer.segmentation())
+        self.world.as_ref()?;
+        Some(self.renderer.as_ref()?.segmentation())
     }
 
     fn metrics(&self) -> Vec<(&'static str, f64)> {
@@ -156,5 +158,53 @@ impl Environment for Highway {
 
     fn privileged(&self) -> Option<PrivilegedView> {
         self.world.as_ref().map(World::privileged)
+    }
+
+    fn simulator(&self) -> Option<Box<dyn Simulator>> {
+        Some(Box::new(Future {
+            world: self.world.clone()?,
+            repeat_reward: self.repeat_reward,
+            action_repeat: self.spec.action_repeat,
+            steps_left: self.spec.time_limit.saturating_sub(self.steps),
+            is_over: self.is_over,
+        }))
+    }
+}
+
+/// A copy of a highway's world.
+#[derive(Clone)]
+struct Future {
+    world: World,
+    repeat_reward: RepeatReward,
+    action_repeat: u32,
+    steps_left: u32,
+    is_over: bool,
+}
+
+impl Simulator for Future {
+    fn fork(&self) -> Box<dyn Simulator> {
+        Box::new(self.clone())
+    }
+
+    fn privileged(&self) -> PrivilegedView {
+        self.world.privileged()
+    }
+
+    fn step(&mut self, action: &[f32]) -> Outlook {
+        let mut reward = 0.0;
+        if let (false, &[steer, pedal]) = (self.is_over, action) {
+            let [steer, pedal] = [steer, pedal].map(|value| f64::from(value.clamp(-1.0, 1.0)));
+            let repeated = self.world.repeat(steer, pedal, self.action_repeat);
+            reward = self
+                .repeat_reward
+                .combine(repeated.reward, repeated.frames)
+                .into();
+            self.steps_left = self.steps_left.saturating_sub(1);
+            self.is_over = repeated.end.is_some() || self.steps_left == 0;
+        }
+        Outlook {
+            reward,
+            is_last: self.is_over,
+        }
     }
 }

@@ -3,32 +3,18 @@
 use crate::highway::maps::Map;
 use crate::render::Light;
 
-/// A road, what drives on it, and the time of day.
+/// A road and the time of day.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Scene {
     pub(crate) map: Map,
-    pub(crate) flow: Flow,
     pub(crate) light: Light,
 }
 
-/// How dense and how free the traffic is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Flow {
-    /// Everyone drives and changes lanes as they like.
-    Free,
-    /// A [`Jam`](crate::highway::jam::Jam).
-    Jam,
-}
-
-const SCENES: [(&str, Scene); 8] = [
+const SCENES: [(&str, Scene); 4] = [
     ("day", Scene::new(Map::Loop, Light::Day)),
     ("night", Scene::new(Map::Loop, Light::Night)),
     ("straight/day", Scene::new(Map::Straight, Light::Day)),
     ("straight/night", Scene::new(Map::Straight, Light::Night)),
-    ("jam/day", Scene::jam(Light::Day)),
-    ("jam/night", Scene::jam(Light::Night)),
-    ("s_curve/day", Scene::new(Map::SCurve, Light::Day)),
-    ("s_curve/night", Scene::new(Map::SCurve, Light::Night)),
 ];
 
 impl Scene {
@@ -44,17 +30,7 @@ impl Scene {
     };
 
     pub(crate) const fn new(map: Map, light: Light) -> Self {
-        let flow = Flow::Free;
-        Self { map, flow, light }
-    }
-
-    /// On the straight, so that nothing but the others decides what pays.
-    pub(crate) const fn jam(light: Light) -> Self {
-        Self {
-            map: Map::Straight,
-            flow: Flow::Jam,
-            light,
-        }
+        Self { map, light }
     }
 
     pub(crate) fn named(name: &str) -> Option<Self> {

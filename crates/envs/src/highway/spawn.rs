@@ -8,16 +8,17 @@ use crate::highway::car::Car;
 use crate::highway::ego;
 use crate::highway::road::{LANES, Road};
 use crate::highway::traffic::EgoBody;
+use crate::highway::waves::Waves;
 
 /// Cars start no farther from the ego than this, unless they are too many.
-const START_WITHIN_M: f64 = 40.0;
-const START_GAP_M: f64 = 2.0;
-/// Rows of more cars start rolling: they would set off one by one, and an ego at the end of one count as stuck.
-const MOST_AT_REST: usize = 4;
-const ROLLING_M_S: f64 = 3.0;
+const START_WITHIN_M: f64 = 60.0;
+/// They roll from the start, so that nobody waits for a queue to set off.
+const ROLLING_M_S: f64 = 4.0;
+/// Room for those behind the ego to brake, as it starts at rest.
+const BEHIND_EGO_M: f64 = 8.0;
 /// A car outside of this window around the ego is replaced by another one at the other end.
-const BEHIND_M: f64 = 95.0;
-const AHEAD_M: f64 = 150.0;
+const BEHIND_M: f64 = 120.0;
+const AHEAD_M: f64 = 200.0;
 /// Depth of the strips at both ends in which cars appear: too far away to be seen popping up.
 const STRIP_M: f64 = 20.0;
 
@@ -36,10 +37,10 @@ pub(crate) fn initial(
     let mut cars = Vec::with_capacity(count);
     for (index, &(lane, side)) in places.iter().enumerate() {
         let share = (count + places.len() - 1 - index) / places.len();
-        let room = if lane == ego_lane {
-            ego::LENGTH / 2.0
-        } else {
-            0.0
+        let room = match (lane == ego_lane, side > 0.0) {
+            (true, true) => ego::LENGTH / 2.0,
+            (true, false) => ego::LENGTH / 2.0 + BEHIND_EGO_M,
+            (false, _) => 0.0,
         };
         let mut row: Vec<Car> = (0..share).map(|_| Car::random(rng, lane, 0.0)).collect();
         place_row(road, rng, &mut row, s, side, room);
@@ -50,14 +51,7 @@ pub(crate) fn initial(
 
 /// Spreads `row` over one side of `s`: the slack between the cars is cut at random places.
 fn place_row(road: &Road, rng: &mut ChaCha8Rng, row: &mut [Car], s: f64, side: f64, room: f64) {
-    let rolls = row.len() > MOST_AT_REST;
-    let gap = |car: &Car| {
-        if rolls {
-            car.temper.gap_m + car.temper.headway_s * ROLLING_M_S
-        } else {
-            START_GAP_M
-        }
-    };
+    let gap = |car: &Car| car.temper.gap_m + car.temper.headway_s * ROLLING_M_S;
     let taken: f64 = row
         .iter()
         .map(|car| 2.0 * car.half_length() + gap(car))
@@ -68,7 +62,7 @@ fn place_row(road: &Road, rng: &mut ChaCha8Rng, row: &mut [Car], s: f64, side: f
         .map(|_| rng.random_range(0.0..1.0) * slack)
         .collect();
     cuts.sort_by(f64::total_cmp);
-    let first = row.first().map_or(START_GAP_M, gap);
+    let first = row.first().map_or(0.0, gap);
     // Half a gap, so that the rows on both sides of `s` keep a whole one.
     let mut next = room + first / 2.0;
     if room > 0.0 {
@@ -77,9 +71,7 @@ fn place_row(road: &Road, rng: &mut ChaCha8Rng, row: &mut [Car], s: f64, side: f
     for (car, cut) in row.iter_mut().zip(cuts) {
         car.at.s = road.wrap(s + side * (next + cut + car.half_length()));
         next += 2.0 * car.half_length() + gap(car);
-        if rolls {
-            car.speed = ROLLING_M_S;
-        }
+        car.speed = ROLLING_M_S;
     }
 }
 
@@ -87,6 +79,7 @@ fn place_row(road: &Road, rng: &mut ChaCha8Rng, row: &mut [Car], s: f64, side: f
 pub(crate) fn recycle(
     road: &Road,
     rng: &mut ChaCha8Rng,
+    waves: &Waves,
     cars: &mut [Car],
     reference_s: f64,
     ego: Option<&EgoBody>,
@@ -104,7 +97,7 @@ pub(crate) fn recycle(
         let lane = rng.random_range(0..LANES);
         let fresh = Car::random(rng, lane, road.wrap(reference_s + side + inward));
         // A full lane is tried again in the next frame.
-        if let Some(fresh) = fit_in(road, fresh, cars, index, ego) {
+        if let Some(fresh) = fit_in(road, fresh, waves, cars, index, ego) {
             cars[index] = fresh;
         }
     }
@@ -114,12 +107,15 @@ pub(crate) fn recycle(
 fn fit_in(
     road: &Road,
     mut fresh: Car,
+    waves: &Waves,
     cars: &[Car],
     replaced: usize,
     ego: Option<&EgoBody>,
 ) -> Option<Car> {
     let mine = fresh.body();
-    let mut speed = fresh.temper.desired_m_s;
+    let mut speed = fresh
+        .temper_at(waves.pace_m_s(fresh.lane, fresh.at.s))
+        .desired_m_s;
     let others = cars
         .iter()
         .enumerate()

@@ -7,10 +7,10 @@ use crate::highway::collision;
 use crate::highway::column::{Column, Neighbour};
 use crate::highway::ego::DT;
 use crate::highway::following::acceleration;
-use crate::highway::jam::Jam;
 use crate::highway::lane_change::decide;
 use crate::highway::road::{LANES, Road};
 use crate::highway::spawn;
+use crate::highway::waves::Waves;
 
 const DECISION_EVERY_S: f64 = 1.0;
 /// The ego counts as having taken a lane for this long.
@@ -34,8 +34,7 @@ pub(crate) struct Traffic {
     column: Column,
     close: Vec<(usize, usize)>,
     rng: ChaCha8Rng,
-    /// In a jam, nobody changes lanes.
-    jam: Option<Jam>,
+    waves: Waves,
 }
 
 impl Traffic {
@@ -47,48 +46,35 @@ impl Traffic {
         s: f64,
         ego_lane: usize,
     ) -> Self {
+        let waves = Waves::random(road, &mut rng);
         let cars = spawn::initial(road, &mut rng, count, s, ego_lane);
-        Self::of(cars, rng, None)
-    }
-
-    /// A [`Jam`] of `count` cars around `s`, where the ego starts in `ego_lane`.
-    pub(crate) fn jammed(
-        road: &Road,
-        mut rng: ChaCha8Rng,
-        count: usize,
-        s: f64,
-        ego_lane: usize,
-    ) -> Self {
-        let jam = Jam::around(ego_lane);
-        let cars = jam.initial(road, &mut rng, count, s);
-        Self::of(cars, rng, Some(jam))
-    }
-
-    fn of(cars: Vec<Car>, rng: ChaCha8Rng, jam: Option<Jam>) -> Self {
         Self {
             cars,
             touching: None,
             column: Column::default(),
             close: Vec::new(),
             rng,
-            jam,
+            waves,
         }
     }
 
     /// One frame; whether a car had to brake because the ego took its lane.
     pub(crate) fn step(&mut self, road: &Road, reference_s: f64, ego: Option<&EgoBody>) -> bool {
-        match self.jam {
-            None => spawn::recycle(road, &mut self.rng, &mut self.cars, reference_s, ego),
-            Some(jam) => jam.recycle(road, &mut self.rng, &mut self.cars, reference_s),
-        }
+        self.waves.advance(DT);
+        spawn::recycle(
+            road,
+            &mut self.rng,
+            &self.waves,
+            &mut self.cars,
+            reference_s,
+            ego,
+        );
         let bodies = self.cars.iter().map(Car::body);
         self.column
             .arrange(road, reference_s, bodies.chain(ego.map(|ego| ego.body)));
 
         let interaction = self.follow(road, ego);
-        if self.jam.is_none() {
-            self.change_lanes(road);
-        }
+        self.change_lanes(road);
         for car in &mut self.cars {
             car.advance(road);
         }
@@ -105,18 +91,16 @@ impl Traffic {
             let lanes = self.column.body(index).lanes;
             let ahead = self.column.ahead_of(road, index, lanes, None);
             let followed = ahead.map(Neighbour::as_leader);
-            let wanted = match self.jam {
-                None => acceleration(&car.temper, car.speed, followed),
-                Some(jam) => jam.acceleration(car.lane, &car.temper, car.speed, followed),
-            };
-            car.acceleration = car.after_shock(wanted);
+            let temper = car.temper_at(self.waves.pace_m_s(car.lane, car.at.s));
+            let wanted = acceleration(&temper, car.speed, followed);
+            car.acceleration = car.under_shove(wanted);
             let Some(ego) = ego.filter(|_| ahead.is_some_and(|leader| leader.index == ego_index))
             else {
                 continue;
             };
             if wanted < -INTERACTION_M_S2 && lanes & ego.taken != 0 {
                 let other = self.column.ahead_of(road, index, lanes, Some(ego_index));
-                let alone = acceleration(&car.temper, car.speed, other.map(Neighbour::as_leader));
+                let alone = acceleration(&temper, car.speed, other.map(Neighbour::as_leader));
                 interaction |= alone - wanted > INTERACTION_M_S2;
             }
         }
@@ -172,7 +156,7 @@ mod tests {
             }
             let mean_speed = distance / 30.0 / (2_000.0 * DT);
             println!("seed {seed}: mean speed {mean_speed:.1}, lane changes {changes}");
-            assert!(mean_speed > 7.0, "traffic stands: {mean_speed}");
+            assert!(mean_speed > 4.5, "traffic stands: {mean_speed}");
             assert!(changes > 30, "nobody changes lanes: {changes}");
         }
     }

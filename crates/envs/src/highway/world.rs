@@ -13,7 +13,7 @@ use crate::highway::reward::{frame_reward, lane_direction};
 use crate::highway::road::{
     BARRIER_D, Frenet, LANE_WIDTH, LANES, Road, lane_at, lane_center, lanes_overlapped,
 };
-use crate::highway::scene::{Flow, Scene};
+use crate::highway::scene::Scene;
 use crate::highway::traffic::{EgoBody, TAKEN_S, Traffic};
 use crate::highway::weather::Weather;
 
@@ -25,6 +25,16 @@ const STUCK_M_S: f64 = 0.02;
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Frame {
     pub(crate) reward: f64,
+    pub(crate) interaction: bool,
+    pub(crate) end: Option<EndReason>,
+}
+
+/// What an action brought that was repeated for several frames.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct Repeated {
+    /// The sum over the frames.
+    pub(crate) reward: f64,
+    pub(crate) frames: u32,
     pub(crate) interaction: bool,
     pub(crate) end: Option<EndReason>,
 }
@@ -46,12 +56,7 @@ impl World {
     pub(crate) fn new(scene: Scene, seed: u64, vehicles: u32) -> Self {
         let road = scene.map.road();
         let mut rng = stream(seed, "ego");
-        let lanes = match scene.flow {
-            Flow::Free => LANES,
-            // There must be a lane that flows to its left.
-            Flow::Jam => LANES - 1,
-        };
-        let lane = rng.random_range(0..lanes);
+        let lane = rng.random_range(0..LANES);
         let s = rng.random_range(road.starts());
         let ego = Ego::at_rest(
             road,
@@ -66,10 +71,7 @@ impl World {
         let (traffic_rng, vehicles) = (stream(seed, "traffic"), vehicles as usize);
         Self {
             road,
-            traffic: match scene.flow {
-                Flow::Free => Traffic::new(road, traffic_rng, vehicles, s, lane),
-                Flow::Jam => Traffic::jammed(road, traffic_rng, vehicles, s, lane),
-            },
+            traffic: Traffic::new(road, traffic_rng, vehicles, s, lane),
             metrics: Metrics::new(lane),
             weather: None,
             ego,
@@ -81,6 +83,19 @@ impl World {
     /// Gives the episode weather that drifts, from a stream of its own: nothing else changes.
     pub(crate) fn let_weather_drift(&mut self, seed: u64) {
         self.weather = Some(Weather::random(&mut stream(seed, "weather")));
+    }
+
+    /// As [`Self::step`] for `frames` frames, fewer where the episode ends.
+    pub(crate) fn repeat(&mut self, steer: f64, pedal: f64, frames: u32) -> Repeated {
+        let mut repeated = Repeated::default();
+        while repeated.frames < frames && repeated.end.is_none() {
+            let frame = self.step(steer, pedal);
+            repeated.reward += frame.reward;
+            repeated.frames += 1;
+            repeated.interaction |= frame.interaction;
+            repeated.end = frame.end;
+        }
+        repeated
     }
 
     /// One frame of [`DT`]. `steer` is positive to the right; `pedal` is throttle if positive, else brake.
@@ -187,7 +202,6 @@ fn stream(seed: u64, part: &str) -> ChaCha8Rng {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::driver::CutInDriver;
     use crate::highway::maps::Map;
     use crate::render::Light;
 
@@ -237,38 +251,6 @@ mod tests {
             "{} to {within_a_second}",
             speeds[cut_in]
         );
-    }
-
-    /// What the driver who cuts in earns in a jam whose cars brake for it or do not.
-    fn jam_return(seed: u64, others_brake: bool) -> f64 {
-        let mut world = World::new(Scene::jam(Light::Day), seed, 30);
-        let mut driver = CutInDriver::default();
-        let mut sum = 0.0;
-        for _ in 0..250 {
-            let action = driver.decide(&world.privileged());
-            let [steer, pedal] = [action[0], action[1]].map(f64::from);
-            for _ in 0..4 {
-                let before = world.ego.at;
-                world.ego.advance(world.road, steer, pedal);
-                let body = world.ego_body();
-                let seen = others_brake.then_some(&body);
-                sum += world.meet_traffic(before, steer, seen).reward / 4.0;
-            }
-        }
-        sum
-    }
-
-    #[test]
-    fn in_a_jam_cutting_in_pays_because_others_brake() {
-        const CRAWLING_ON: f64 = 31.5;
-        let (mut trusted, mut unseen) = (0.0, 0.0);
-        for seed in 0..6 {
-            trusted += jam_return(seed, true) / 6.0;
-            unseen += jam_return(seed, false) / 6.0;
-        }
-        println!("{trusted:.1} if others brake, {unseen:.1} if they do not");
-        assert!(trusted > 2.0 * CRAWLING_ON, "{trusted}");
-        assert!(unseen < CRAWLING_ON, "{unseen}");
     }
 
     #[test]
@@ -330,8 +312,11 @@ mod tests {
         };
         car.lane = 1;
         let reward = world.step(0.0, 0.0).reward;
-        let impulse = world.metrics.named()[4];
-        assert_eq!(impulse.0, "impulse_ns");
+        let named = world.metrics.named();
+        let impulse = named
+            .iter()
+            .find(|(name, _)| *name == "impulse_ns")
+            .unwrap();
         assert!(impulse.1 > 5_000.0, "{impulse:?}");
         let driving = world.ego.velocity().dot(lane_direction(road, &world.ego)) * DT;
         assert!((reward - (driving - 1e-4 * impulse.1)).abs() < 1e-9);

@@ -76,7 +76,7 @@ impl Environment for Guard {
         self.checked(step + 1, row)
     }
 
-    forward!(spec, segmentation, metrics, privileged);
+    forward!(spec, segmentation, metrics, privileged, simulator);
 }
 
 #[cfg(test)]

@@ -36,6 +36,11 @@ macro_rules! forward {
             self.env.privileged()
         }
     };
+    (@simulator) => {
+        fn simulator(&self) -> Option<Box<dyn crate::Simulator>> {
+            self.env.simulator()
+        }
+    };
     ($($method:ident),+) => {
         $($crate::wrappers::forward!(@$method);)+
     };

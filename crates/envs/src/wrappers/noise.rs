@@ -82,7 +82,7 @@ impl Environment for Noisy {
         self.noisy(row)
     }
 
-    forward!(spec, segmentation, metrics, privileged);
+    forward!(spec, segmentation, metrics, privileged, simulator);
 }
 
 #[cfg(test)]

@@ -84,7 +84,7 @@ impl Environment for Resize {
         Some(pixels.map(class).collect())
     }
 
-    forward!(metrics, privileged);
+    forward!(metrics, privileged, simulator);
 }
 
 #[cfg(test)]

@@ -56,7 +56,7 @@ impl Environment for Statistics {
         metrics
     }
 
-    forward!(spec, segmentation, privileged);
+    forward!(spec, segmentation, privileged, simulator);
 }
 
 #[cfg(test)]
