@@ -6,13 +6,14 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use isodream_core::{Step, derive_seed};
-use isodream_envs::{Driver, EnvError, Environment, RandomDriver, VectorEnvironment};
+use isodream_envs::{EnvError, Environment, VectorEnvironment};
 use isodream_model::Actions;
 use isodream_proto::v1;
 use isodream_rpc::{AppendClient, Policy, RpcError};
 use rand::RngExt;
 use tokio_util::sync::CancellationToken;
 
+use crate::exploration::Exploration;
 use crate::failures::Failures;
 use crate::lane::Lane;
 use crate::learner_link::LearnerLink;
@@ -26,7 +27,7 @@ pub(crate) struct Collector {
     options: ActorOptions,
     environments: VectorEnvironment,
     lanes: Vec<Lane>,
-    random: RandomDriver,
+    exploration: Vec<Exploration>,
     /// Drawn at the start: everything random of this process follows from it.
     entropy: u64,
     failures: Failures,
@@ -61,7 +62,12 @@ impl Collector {
         };
         Ok(Self {
             lanes: (0..environments.len()).map(lane).collect(),
-            random: RandomDriver::new(derive_seed(entropy, &["random", &options.actor_id])),
+            exploration: (0..environments.len())
+                .map(|index| {
+                    let seed = derive_seed(entropy, &[&options.actor_id]);
+                    Exploration::new(&config.actor, seed, index)
+                })
+                .collect(),
             environments,
             options,
             entropy,
@@ -149,16 +155,20 @@ impl Collector {
 
     /// Actions `[N, A]` for the newest rows, row after row.
     fn act(&mut self, agent: Option<&mut AgentPolicy>) -> anyhow::Result<Vec<f32>> {
-        if let Some(agent) = agent {
+        let mut chosen = agent.map(|agent| {
             let steps: Vec<&Step> = self.lanes.iter().map(Lane::newest).collect();
-            return Ok(agent.act(&steps, Actions::Sample).concat());
-        }
+            agent.act(&steps, Actions::Sample).into_iter()
+        });
         let mut actions = Vec::new();
-        for index in 0..self.lanes.len() {
+        for (index, exploration) in self.exploration.iter_mut().enumerate() {
             let Some(env) = self.environments.environment(index) else {
                 bail!("environment {index} is missing");
             };
-            actions.extend(self.random.act(env)?);
+            let action = match chosen.as_mut().and_then(Iterator::next) {
+                Some(chosen) => exploration.instead(env)?.unwrap_or(chosen),
+                None => exploration.prefill(env)?,
+            };
+            actions.extend(action);
         }
         Ok(actions)
     }

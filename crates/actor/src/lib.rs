@@ -12,6 +12,7 @@ mod chunks;
 pub mod collect;
 mod collector;
 pub mod evaluate;
+mod exploration;
 mod failures;
 mod film;
 mod lane;
