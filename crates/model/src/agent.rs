@@ -13,6 +13,7 @@ use crate::optimizer::Adam;
 use crate::params::{LoadError, Params, tensor_of, to_safetensors};
 use crate::policy::{ActingModel, Actor, Future, Policy, attends};
 use crate::precision::product_kind;
+use crate::reward::RewardModel;
 use crate::world_model::WorldModel;
 
 /// World model, actor, critic and attention with everything that training them needs.
@@ -157,14 +158,14 @@ impl Agent {
         metrics
     }
 
-    /// The weights that acting needs, as safetensors bytes.
+    /// The weights that acting needs, and the reward head for those who probe the model, as safetensors bytes.
     pub fn publish(&self) -> Vec<u8> {
         let groups = &self.groups;
         let all = [&groups.world.0, &groups.actor.0, &groups.critic.0];
         let entries = all.iter().flat_map(|params| params.entries());
         to_safetensors(
             entries
-                .filter(|(name, _)| self.acting_names.contains(name))
+                .filter(|(name, _)| self.acting_names.contains(name) || RewardModel::holds(name))
                 .map(|(name, tensor)| (name.as_str(), tensor)),
         )
     }
