@@ -13,6 +13,8 @@ use crate::AgentPolicy;
 
 /// Steps of a plan.
 const HORIZON: usize = 15;
+/// The latest step that is probed: an evaluation is followed by seconds of probing, not by minutes.
+const LATEST: usize = 50;
 /// Episodes of an evaluation that are kept to be repeated.
 const EPISODES: usize = 4;
 
@@ -31,6 +33,7 @@ impl EvaluationProbe {
             extent: (states > 0).then(|| Extent {
                 states: States::Total(states),
                 horizon: HORIZON,
+                latest: LATEST,
                 seed: derive_seed(config.seed, &["probe"]),
             }),
             episodes: Vec::new(),

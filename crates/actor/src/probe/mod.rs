@@ -33,6 +33,8 @@ pub struct Extent {
     pub states: States,
     /// Steps of a plan.
     pub horizon: usize,
+    /// The latest step of an episode that is a state: what comes later costs more to repeat.
+    pub latest: usize,
     /// Seed of actions that are drawn.
     pub seed: u64,
 }
@@ -63,7 +65,7 @@ pub fn probe(
     extent: Extent,
     go_on: &dyn Fn() -> bool,
 ) -> anyhow::Result<Finding> {
-    let places = states::choose(episodes, extent.horizon, extent.states);
+    let places = states::choose(episodes, extent.horizon, extent.latest, extent.states);
     if places.is_empty() {
         return Ok(Finding::TooShort);
     }

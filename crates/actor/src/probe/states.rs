@@ -97,11 +97,17 @@ pub enum States {
     PerKind(usize),
 }
 
-/// Rows after which the policy drove on for `horizon` steps, evenly spread over those of their kind.
-pub(super) fn choose(episodes: &[Episode], horizon: usize, states: States) -> Vec<Place> {
+/// Rows up to `latest` after which the policy drove on for `horizon` steps, evenly spread over those of their kind.
+pub(super) fn choose(
+    episodes: &[Episode],
+    horizon: usize,
+    latest: usize,
+    states: States,
+) -> Vec<Place> {
     let mut met = Kind::ALL.map(|_| Vec::new());
     for (index, episode) in episodes.iter().enumerate() {
-        for row in SEEN..episode.kinds.len().saturating_sub(horizon) {
+        let end = episode.kinds.len().saturating_sub(horizon);
+        for row in SEEN..end.min(latest.saturating_add(1)) {
             let kind = episode.kinds[row];
             met[kind as usize].push(Place {
                 episode: index,
@@ -188,7 +194,7 @@ mod tests {
         let mut kinds = vec![Kind::Free; 40];
         kinds[7] = Kind::Contact;
         let episodes = [episode(&kinds), episode(&[Kind::Near; 20])];
-        let chosen = choose(&episodes, 10, States::Total(7));
+        let chosen = choose(&episodes, 10, usize::MAX, States::Total(7));
         let count = |kind| chosen.iter().filter(|place| place.kind == kind).count();
         assert_eq!(count(Kind::Contact), 1);
         assert_eq!((count(Kind::Near), count(Kind::Free)), (3, 3));
@@ -196,15 +202,19 @@ mod tests {
             let rows = episodes[place.episode].kinds.len();
             assert!((SEEN..rows - 10).contains(&place.row), "{place:?}");
         }
-        let chosen = choose(&episodes, 10, States::PerKind(2));
+        let chosen = choose(&episodes, 10, usize::MAX, States::PerKind(2));
         assert_eq!(chosen.len(), 5, "{chosen:?}");
-        assert!(choose(&episodes, 40, States::Total(7)).is_empty());
+        assert!(choose(&episodes, 40, usize::MAX, States::Total(7)).is_empty());
     }
 
     #[test]
     fn states_are_spread_over_the_episode() {
-        let chosen = choose(&[episode(&[Kind::All; 115])], 10, States::Total(4));
-        let rows: Vec<usize> = chosen.iter().map(|place| place.row).collect();
-        assert_eq!(rows, [17, 42, 67, 92]);
+        let rows = |latest| -> Vec<usize> {
+            let episode = episode(&[Kind::All; 115]);
+            let chosen = choose(&[episode], 10, latest, States::Total(4));
+            chosen.iter().map(|place| place.row).collect()
+        };
+        assert_eq!(rows(usize::MAX), [17, 42, 67, 92]);
+        assert_eq!(rows(8), [5, 6, 7, 8]);
     }
 }

@@ -54,6 +54,7 @@ fn compare(args: &ImagineArgs) -> anyhow::Result<Probe> {
     let extent = Extent {
         states: States::PerKind(args.states as usize),
         horizon: args.horizon as usize,
+        latest: usize::MAX,
         seed: derive_seed(config.seed, &["probe"]),
     };
     ensure!(!episodes.is_empty(), "without --episodes there is no state");
