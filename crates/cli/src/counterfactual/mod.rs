@@ -37,6 +37,8 @@ fn compare(args: &ImagineArgs) -> anyhow::Result<Probe> {
     let config = &checkpoint.config;
     let mut env = isodream_rpc::open_environment(&args.security.dialer(Role::Actor)?, &config.env)?;
     let spec = env.spec().clone();
+    // One picture at a time is slower on several threads.
+    tch::set_num_threads(config.actor.threads);
     tch::manual_seed(derive_seed(config.seed, &["imagine", "noise"]) as i64);
     let mut agent = AgentPolicy::new(config, &spec, 1, &checkpoint.model)?;
     let reward = RewardModel::new(config, &checkpoint.model)?;

@@ -190,7 +190,7 @@ impl Default for ActorConfig {
             spool_mb: 64,
             evaluate_interval_frames: 5_000,
             evaluate_episodes: 1,
-            probe_states: 12,
+            probe_states: 6,
             threads: 1,
         }
     }
