@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use isodream_learner::checkpoint::Checkpoint;
 use isodream_telemetry::media::{EpisodeFacts, OpenLoopFacts};
+use isodream_telemetry::probe::ProbeReport;
 use isodream_tests::{Running, alive, free_address, isodream, learner_status, until};
 
 const LATER: Duration = Duration::from_secs(240);
@@ -17,7 +18,12 @@ fn an_interrupted_run_stops_in_ten_seconds_and_resumes_to_its_end() -> Result<()
     let folder = tempfile::tempdir()?;
     let run_dir = folder.path().join("run").display().to_string();
     let (learner, page) = (free_address()?, free_address()?);
-    let shrink = ["--set", "learner.env_frames=2400"];
+    let shrink = [
+        "--set",
+        "learner.env_frames=2400",
+        "--set",
+        "actor.probe_states=2",
+    ];
     let args = [
         &[
             "train",
@@ -119,6 +125,46 @@ fn an_interrupted_run_stops_in_ten_seconds_and_resumes_to_its_end() -> Result<()
             );
         }
     }
+    check_counterfactual(&run_dir, folder.path())
+}
+
+/// The world model can be probed, and its scores are numbers.
+fn check_counterfactual(run_dir: &str, folder: &Path) -> Result<()> {
+    let out = folder.join("counterfactual");
+    let output = isodream(&[
+        "imagine",
+        "--counterfactual",
+        "--checkpoint",
+        run_dir,
+        "--episodes",
+        "1",
+        "--states",
+        "1",
+        "--json",
+        "--out",
+        &out.display().to_string(),
+    ])?;
+    let report: ProbeReport = serde_json::from_slice(&output.stdout).with_context(|| {
+        let words = String::from_utf8_lossy(&output.stderr);
+        format!("imagine --counterfactual prints no JSON: {words}")
+    })?;
+    ensure!(report.horizon == 15 && report.plans.len() == 6 && !report.kinds.is_empty());
+    for scores in report.kinds.values().chain([&report.all]) {
+        let measured = [scores.bias, scores.rmse];
+        let returns = scores.real.iter().chain(&scores.imagined);
+        ensure!(scores.states > 0 && scores.real.len() == 6, "{scores:?}");
+        ensure!(
+            measured
+                .iter()
+                .chain(returns)
+                .all(|value| value.is_finite())
+        );
+        let rank = scores.rank_correlation.context("pedals have no order")?;
+        ensure!((-1.0..=1.0).contains(&rank), "{scores:?}");
+    }
+    let kept = std::fs::read(out.join("counterfactual.json"))?;
+    ensure!(serde_json::from_slice::<ProbeReport>(&kept)? == report);
+    ensure!(std::fs::read(out.join("counterfactual.png"))?.starts_with(b"\x89PNG"));
     Ok(())
 }
 

@@ -1,9 +1,10 @@
 //! Published weights acting on a vector of environments.
 
-use isodream_core::{Config, EnvSpec, Step};
-use isodream_model::batch::preprocess;
+use isodream_core::{Config, EnvSpec, Step, Steps};
+use isodream_model::batch::{StagedSteps, preprocess};
+use isodream_model::reward::{Plans, imagined_returns};
 use isodream_model::rssm::State;
-use isodream_model::{ActingModel, Actions, Decision, LoadError};
+use isodream_model::{ActingModel, Actions, Decision, LoadError, RewardModel};
 use tch::{Device, Tensor};
 
 /// What one decision was made of.
@@ -72,6 +73,32 @@ impl AgentPolicy {
             gate: decision.gate.as_ref().map(|open| values(open)[0]),
         };
         (values(&decision.actions), insight)
+    }
+
+    /// Posterior latents at every step of an episode, `[T, ..]`, without a change of the memory.
+    ///
+    /// # Panics
+    /// If this episode has images of other sizes than the environment: a defect of the caller.
+    pub fn latents(&self, episode: &Steps) -> State {
+        let side = self.spec.image.height;
+        let staged = StagedSteps::new(std::slice::from_ref(episode), side, Device::Cpu);
+        let batch = staged.to_batch(Device::Cpu);
+        let states = self.model.observe(&batch.images, &batch.actions);
+        states.map(|x| x.squeeze_dim(0))
+    }
+
+    /// Goes on from latents of the only environment, `[1, ..]`, as if they were the memory.
+    pub fn remember(&mut self, state: State) {
+        self.state = state;
+    }
+
+    /// [`imagined_returns`] by the latent dynamics of this policy.
+    ///
+    /// # Shapes
+    /// `-> [N]`
+    pub fn imagined_returns(&self, reward: &RewardModel, plans: &Plans, samples: i64) -> Vec<f64> {
+        let returns = imagined_returns(self.model.rssm(), reward.head(), plans, samples);
+        values(&returns).into_iter().map(f64::from).collect()
     }
 
     fn decide(&mut self, steps: &[&Step], actions: Actions) -> Decision {

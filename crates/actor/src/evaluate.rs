@@ -13,6 +13,7 @@ use tokio_util::sync::CancellationToken;
 use crate::failures::Failures;
 use crate::film::Film;
 use crate::learner_link::LearnerLink;
+use crate::probe::EvaluationProbe;
 use crate::report::report;
 use crate::rollout::{Moment, Pilot, episode};
 use crate::{ActorOptions, AgentPolicy};
@@ -49,6 +50,7 @@ pub async fn run(options: ActorOptions, shutdown: CancellationToken) -> anyhow::
         tch::manual_seed(derive_seed(config.seed, &["noise", &options.actor_id]) as i64);
         let mut agent: Option<AgentPolicy> = None;
         let mut failures = Failures::default();
+        let mut probing = EvaluationProbe::new(config);
         let mut due_frames = 0;
         while !shutdown.is_cancelled() {
             let mut client = client.clone();
@@ -66,15 +68,20 @@ pub async fn run(options: ActorOptions, shutdown: CancellationToken) -> anyhow::
             }
             .context("the published policy does not fit this actor")?;
             let agent = agent.as_mut().context("a policy was just loaded")?;
-            for index in 0..u64::from(config.actor.evaluate_episodes) {
+            let episodes = u64::from(config.actor.evaluate_episodes);
+            for index in 0..episodes {
                 let mut pilot = Pilot::Agent(agent, Actions::Mode);
                 let seed = evaluation_seed(config.seed, index);
                 let go_on = || !shutdown.is_cancelled();
                 // The first episode of each evaluation is shown, always on the same seed.
                 let mut film = (index == 0).then(Film::default);
+                let mut kept = probing.begin(seed);
                 let mut watch = |moment: &Moment<'_>| {
                     if let Some(film) = &mut film {
                         film.take(moment, &spec);
+                    }
+                    if let Some(kept) = &mut kept {
+                        kept.take(moment);
                     }
                 };
                 let span = tracing::debug_span!("evaluate", actor = options.actor_id, index);
@@ -88,7 +95,11 @@ pub async fn run(options: ActorOptions, shutdown: CancellationToken) -> anyhow::
                 };
                 failures.none();
                 if outcome.end_reason.is_some() {
+                    probing.keep(kept);
+                    let mut run =
+                        || probing.run(env.as_mut(), agent, config, policy.weights(), &go_on);
                     link.report(v1::EpisodeReport {
+                        probe: (index + 1 == episodes).then(&mut run).flatten(),
                         film: film.and_then(|film| film.develop(&spec)),
                         ..report(
                             &options.actor_id,

@@ -2,6 +2,7 @@
 //!
 //! - [`collect`]: samples actions and appends every step to a replay-server
 //! - [`evaluate`]: acts by the mode, never writes to replay, reports scores
+//! - [`probe`]: what other actions bring, really and as the world model imagines it
 //! - [`rollout`]: one episode under any policy, for evaluation and pictures
 //!
 //! An actor is disposable. It may be killed at any moment: what it handed over and got acknowledged is kept by
@@ -17,6 +18,7 @@ mod failures;
 mod film;
 mod lane;
 mod learner_link;
+pub mod probe;
 mod report;
 pub mod rollout;
 

@@ -25,5 +25,6 @@ pub(crate) fn report(
             .unwrap_or_default(),
         metrics: outcome.metrics.into_iter().collect(),
         film: None,
+        probe: None,
     }
 }

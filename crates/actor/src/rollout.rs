@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use anyhow::Context;
 use isodream_core::{Step, Steps};
-use isodream_envs::{Driver, EndReason, Environment};
+use isodream_envs::{Driver, EndReason, Environment, PrivilegedView};
 use isodream_model::Actions;
 
 use crate::{AgentPolicy, Insight};
@@ -38,6 +38,8 @@ pub struct Moment<'a> {
     pub step: &'a Step,
     /// The class of each pixel `[H, W]`, where the world knows it.
     pub classes: Option<&'a [u8]>,
+    /// The ego and its neighbourhood, where the world knows them.
+    pub view: Option<&'a PrivilegedView>,
     /// What the decision that follows was made of; none of a driver, and where the episode ends.
     pub insight: Option<&'a Insight>,
 }
@@ -88,6 +90,7 @@ pub fn episode(
         watch(&Moment {
             step: &step,
             classes: env.segmentation().as_deref(),
+            view: env.privileged().as_ref(),
             insight: insight.as_ref(),
         });
         if ends {

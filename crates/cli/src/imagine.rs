@@ -32,15 +32,28 @@ const LENGTH: usize = 50;
 pub(crate) struct ImagineArgs {
     /// A run directory or a checkpoint folder
     #[arg(long)]
-    checkpoint: PathBuf,
+    pub(crate) checkpoint: PathBuf,
     /// Where the pictures go
     #[arg(long, default_value = "imagine")]
-    out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Episodes on held-out seeds; the first one is drawn
     #[arg(long, default_value_t = 8)]
-    episodes: u64,
+    pub(crate) episodes: u64,
+    /// Instead, hold several plans of actions at states that the policy meets, and compare what really follows, by
+    /// repeating the episodes, with what the model imagines
+    #[arg(long)]
+    counterfactual: bool,
+    /// States of each kind
+    #[arg(long, default_value_t = 24, requires = "counterfactual", value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) states: u32,
+    /// Steps of a plan
+    #[arg(long, default_value_t = 15, requires = "counterfactual", value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) horizon: u32,
+    /// Print the comparison as JSON instead of a table
+    #[arg(long, requires = "counterfactual")]
+    pub(crate) json: bool,
     #[command(flatten)]
-    security: ClientArgs,
+    pub(crate) security: ClientArgs,
 }
 
 /// How much of each branch's mask lies on the vehicles that the simulator knows of.
@@ -77,6 +90,9 @@ struct Report {
 
 /// Runs the command.
 pub(crate) fn run(args: &ImagineArgs) -> anyhow::Result<()> {
+    if args.counterfactual {
+        return crate::counterfactual::run(args);
+    }
     let checkpoint = Checkpoint::find(&args.checkpoint)?;
     let config = &checkpoint.config;
     let mut env = isodream_rpc::open_environment(&args.security.dialer(Role::Actor)?, &config.env)?;

@@ -7,6 +7,8 @@ mod bench;
 mod chart;
 mod config_args;
 mod config_reference;
+#[cfg(feature = "torch")]
+mod counterfactual;
 mod dashboard;
 mod doctor;
 mod env;

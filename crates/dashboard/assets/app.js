@@ -8,7 +8,7 @@ const PAUSE_MS = 2000;
 /** Shown before anybody filters, as far as a run has them. */
 const FIRST = ["eval/score", "episode/score", "train/loss/model", "train/loss/image", "train/loss/reward",
   "train/loss/controllable_kl", "train/loss/noncontrollable_kl", "train/mask/noncontrollable", "train/loss/gate",
-  "open_loop/error", "fps/env", "fps/train"];
+  "open_loop/error", "probe/rank_correlation", "fps/env", "fps/train"];
 /** Runs that are chosen at first, at most. */
 const CHOSEN = 12;
 const COLORS = 8;

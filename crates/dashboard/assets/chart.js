@@ -59,7 +59,7 @@ export function at(line, x) {
 }
 
 /** Round numbers between `low` and `high`, each with words that tell it from its neighbours. */
-function ticks(low, high, count) {
+export function ticks(low, high, count) {
   const rough = (high - low) / count;
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((factor) => factor * power).find((size) => size >= rough);
@@ -77,7 +77,7 @@ function ticks(low, high, count) {
   return found.map((tick) => [tick, words(tick)]);
 }
 
-function node(name, attributes, parent, text) {
+export function node(name, attributes, parent, text) {
   const made = document.createElementNS(SVG, name);
   for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
   if (text !== undefined) made.textContent = text;

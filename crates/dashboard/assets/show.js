@@ -1,6 +1,7 @@
-// Episodes and open-loop panels: videos, and what lies beneath them in time.
+// Episodes, open-loop panels and probes of the world model: videos, what lies beneath them in time, and tables.
 
 import { Chart, short } from "./chart.js";
+import { showProbe } from "./probe.js";
 
 const byId = (id) => document.getElementById(id);
 const padded = (frames) => String(frames).padStart(10, "0");
@@ -133,9 +134,16 @@ const panels = new Shelf("open_loop", "open-loop", (shelf, facts, frames) => {
   ]);
 });
 
+const probes = new Shelf("probe", "probe", (_, facts) => {
+  caption(byId("probe-caption"), "Other actions, real and imagined",
+    `returns over ${facts.horizon} steps; after ${short(facts.frames)} frames, ${short(facts.updates)} updates`);
+  showProbe(facts);
+});
+
 /** Shows the media of a run, as `/api/media` lists them. */
 export function showMedia(run, media) {
-  byId("show").hidden = !media.episode.length && !media.open_loop.length;
+  byId("show").hidden = !media.episode.length && !media.open_loop.length && !media.probe.length;
   episodes.fill(run, media.episode);
   panels.fill(run, media.open_loop);
+  probes.fill(run, media.probe);
 }

@@ -11,6 +11,8 @@ pub struct Media {
     pub episode: Vec<u64>,
     /// Open-loop panels: `open_loop-FRAMES.png`, `.mp4` and `.json`.
     pub open_loop: Vec<u64>,
+    /// Probes of the world model: `probe-FRAMES.json`.
+    pub probe: Vec<u64>,
 }
 
 impl Media {
@@ -23,11 +25,13 @@ impl Media {
             match parse(&entry.file_name().to_string_lossy()) {
                 Some(("episode", frames, "json")) => media.episode.push(frames),
                 Some(("open_loop", frames, "json")) => media.open_loop.push(frames),
+                Some(("probe", frames, "json")) => media.probe.push(frames),
                 _ => {}
             }
         }
         media.episode.sort_unstable();
         media.open_loop.sort_unstable();
+        media.probe.sort_unstable();
         media
     }
 }
@@ -43,7 +47,7 @@ fn parse(name: &str) -> Option<(&str, u64, &str)> {
     let (frames, extension) = rest.split_once('.')?;
     let known = matches!(
         (kind, extension),
-        ("episode" | "open_loop", "mp4" | "json") | ("open_loop", "png")
+        ("episode" | "open_loop", "mp4" | "json") | ("open_loop", "png") | ("probe", "json")
     );
     let is_number = frames.len() >= 10 && frames.bytes().all(|byte| byte.is_ascii_digit());
     (known && is_number).then_some((kind, frames.parse().ok()?, extension))
@@ -56,11 +60,16 @@ mod tests {
 
     #[test]
     fn only_what_the_learner_names_is_media() {
-        for name in ["episode-0000004000.mp4", "open_loop-0000004000.png"] {
+        for name in [
+            "episode-0000004000.mp4",
+            "open_loop-0000004000.png",
+            "probe-0000004000.json",
+        ] {
             assert!(is_media(name), "{name}");
         }
         for name in [
             "episode-0000004000.png",
+            "probe-0000004000.mp4",
             "episode-0000004000.mp4.tmp",
             "../config.toml",
             "episode-../../x.json",
@@ -84,12 +93,14 @@ mod tests {
             "episode-0000000030.mp4",
             "episode-0000000005.json",
             "open_loop-0000000007.json",
+            "probe-0000000020.json",
         ] {
             std::fs::write(folder.join(name), b"x").unwrap();
         }
         let wanted = Media {
             episode: vec![5, 20],
             open_loop: vec![7],
+            probe: vec![20],
         };
         assert_eq!(Media::of(run.path()), wanted);
     }

@@ -51,6 +51,11 @@ const ASSETS: &[(&str, &str, &str)] = &[
         include_str!("../assets/show.js"),
     ),
     (
+        "/probe.js",
+        "text/javascript; charset=utf-8",
+        include_str!("../assets/probe.js"),
+    ),
+    (
         "/live.js",
         "text/javascript; charset=utf-8",
         include_str!("../assets/live.js"),

@@ -1,4 +1,4 @@
-//! What a run shows of itself: episodes that actors filmed, and open-loop predictions.
+//! What a run shows of itself: episodes that actors filmed, open-loop predictions, and probes of the world model.
 //!
 //! Pictures are for people: where one cannot be made, the log says so and training goes on.
 
@@ -9,7 +9,8 @@ use isodream_model::Batch;
 use isodream_model::open_loop::open_loop;
 use isodream_model::world_model::WorldModel;
 use isodream_proto::v1;
-use isodream_telemetry::media::{EpisodeFacts, MediaFolder, OpenLoopFacts};
+use isodream_telemetry::media::{EpisodeFacts, MediaFolder, OpenLoopFacts, ProbeFacts};
+use isodream_telemetry::probe::{Probe, ProbedState};
 use isodream_telemetry::{Gif, Rgb, encode_gif};
 use tch::{Kind, Tensor};
 
@@ -65,6 +66,22 @@ impl Media {
                 "an episode cannot be shown"
             );
         }
+    }
+
+    /// Keeps the probe that came with an evaluation, if there is one, and tells its curves.
+    pub(crate) fn probe(&self, frames: u64, report: &v1::EpisodeReport) -> Vec<(String, f64)> {
+        let Some(found) = &report.probe else {
+            return Vec::new();
+        };
+        let kept = probe_facts(frames, report, found).and_then(|facts| {
+            self.folder.probe(&facts)?;
+            Ok(facts.report.metrics())
+        });
+        kept.unwrap_or_else(|error| {
+            let error = format!("{error:#}");
+            tracing::warn!(error, actor = report.actor_id, "a probe cannot be shown");
+            Vec::new()
+        })
     }
 
     /// Predicts some sequences of `batch` and begins to draw the first; nothing where the last panel is still in work,
@@ -172,5 +189,46 @@ fn facts(
             .map(<[f32]>::to_vec)
             .collect(),
         gate: film.gate.clone(),
+    })
+}
+
+/// Checks what an actor found.
+fn probe_facts(
+    frames: u64,
+    report: &v1::EpisodeReport,
+    found: &v1::Probe,
+) -> anyhow::Result<ProbeFacts> {
+    let plans = found.plans.len();
+    for state in &found.states {
+        let returns = || state.real.iter().chain(&state.imagined);
+        ensure!(
+            state.real.len() == plans && state.imagined.len() == plans,
+            "{} returns came for {plans} plans",
+            returns().count()
+        );
+        ensure!(
+            returns().all(|value| value.is_finite()),
+            "a return is no number"
+        );
+    }
+    ensure!(plans > 0 && !found.states.is_empty(), "nothing was probed");
+    let policy = report
+        .policy
+        .context("the episode was driven by no policy")?;
+    let states = found.states.iter().map(|state| ProbedState {
+        kind: state.kind.clone(),
+        real: state.real.clone(),
+        imagined: state.imagined.clone(),
+    });
+    let probe = Probe {
+        horizon: found.horizon,
+        plans: found.plans.clone(),
+        states: states.collect(),
+    };
+    Ok(ProbeFacts {
+        frames,
+        updates: policy.version,
+        report: probe.report(),
+        states: probe.states,
     })
 }

@@ -399,17 +399,17 @@ impl Training {
         Ok(())
     }
 
-    /// Writes the episodes that actors reported: `episode/*` of collecting, `eval/*` of evaluating ones.
+    /// Writes the episodes that actors reported: `episode/*` of collecting, `eval/*` and `probe/*` of evaluating ones.
     fn write_reports(&mut self, metrics: &mut MetricsWriter) -> anyhow::Result<()> {
         let frames = self.progress.env_frames();
         for report in self.progress.take_reports() {
-            let prefix = match report.role() {
+            let (prefix, probed) = match report.role() {
                 v1::ActorRole::Evaluate => {
                     self.media.episode(frames, &report);
                     self.evaluations.add(frames, &report)?;
-                    "eval"
+                    ("eval", self.media.probe(frames, &report))
                 }
-                _ => "episode",
+                _ => ("episode", Vec::new()),
             };
             let mut values = vec![
                 (format!("{prefix}/score"), report.score),
@@ -421,6 +421,7 @@ impl Training {
                     .into_iter()
                     .map(|(name, value)| (format!("{prefix}/{name}"), value)),
             );
+            values.extend(probed);
             metrics.scalars(frames, &values)?;
         }
         Ok(())

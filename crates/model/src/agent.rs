@@ -14,6 +14,7 @@ use crate::laps::{Laps, phase};
 use crate::optimizer::Adam;
 use crate::params::{LoadError, tensor_of, to_safetensors};
 use crate::policy::{ActingModel, Policy};
+use crate::reward::RewardModel;
 use crate::world_model::WorldModel;
 
 /// Per update, the share of the newest returns in their running range.
@@ -234,13 +235,13 @@ impl Agent {
         updates.saturating_sub(self.config.behavior.warmup_updates)
     }
 
-    /// The weights that acting needs, as safetensors bytes.
+    /// The weights that acting needs, and the reward head for those who probe the model, as safetensors bytes.
     pub fn publish(&self) -> Vec<u8> {
         let all = self.share.networks.params.all();
         let entries = all.iter().flat_map(|params| params.entries());
         to_safetensors(
             entries
-                .filter(|(name, _)| self.acting_names.contains(name))
+                .filter(|(name, _)| self.acting_names.contains(name) || RewardModel::holds(name))
                 .map(|(name, tensor)| (name.as_str(), tensor)),
         )
     }

@@ -33,6 +33,7 @@ pub mod optimizer;
 pub mod params;
 pub mod policy;
 pub mod precision;
+pub mod reward;
 pub mod rssm;
 pub mod world_model;
 
@@ -40,3 +41,4 @@ pub use agent::Agent;
 pub use batch::Batch;
 pub use params::{LoadError, Params};
 pub use policy::{ActingModel, Actions, Decision};
+pub use reward::RewardModel;

@@ -11,7 +11,7 @@ use tch::{Device, Tensor};
 
 use crate::attention::{Attended, FutureAttention};
 use crate::distribution::TruncatedNormal;
-use crate::encoder::Encoder;
+use crate::encoder::{Embeddings, Encoder};
 use crate::nn::Mlp;
 use crate::params::{LoadError, Params, Scope};
 use crate::rssm::{Latent, Rssm, State};
@@ -267,6 +267,27 @@ impl ActingModel {
     /// The latents before the first step of `environments` episodes.
     pub fn begin(&self, environments: i64) -> State {
         self.rssm.initial(environments, self.params.device())
+    }
+
+    /// Posterior latents of a whole sequence from its first step on, by the encoder that [`Self::step`] uses.
+    ///
+    /// # Shapes
+    /// `images: [B, T, 3, 64, 64]`, `executed: [B, T, A]`, the actions that led to them `-> [B, T, ..]`
+    pub fn observe(&self, images: &Tensor, executed: &Tensor) -> State {
+        let _guard = tch::no_grad_guard();
+        let lengths = [images.size()[0], images.size()[1]];
+        let stem = self.encoder.stem.forward(&images.flatten(0, 1));
+        let flat = self.encoder.embed(&stem, &executed.flatten(0, 1));
+        let embed = Embeddings {
+            controllable: flat.controllable.unflatten(0, lengths),
+            noncontrollable: flat.noncontrollable.unflatten(0, lengths),
+        };
+        self.rssm.observe(executed, &embed).states
+    }
+
+    /// The latent dynamics.
+    pub fn rssm(&self) -> &Rssm {
+        &self.rssm
     }
 
     /// One decision (Alg. 1, lines 21-24): posterior, rollout, attention, action. `state` is the memory between

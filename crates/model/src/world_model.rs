@@ -15,6 +15,7 @@ use crate::losses::{
 use crate::nn::{Mlp, to_phases};
 use crate::noise::choose;
 use crate::params::Scope;
+use crate::reward::{RewardHead, head_feat};
 use crate::rssm::{Branch, Observed, Rssm, State};
 
 /// Frames that are decoded at a time: more need more memory and are no faster.
@@ -37,7 +38,7 @@ pub struct WorldModel {
 
 #[derive(Debug)]
 struct Heads {
-    reward: Mlp,
+    reward: RewardHead,
     inverse: Mlp,
     discount: Option<Mlp>,
 }
@@ -90,13 +91,7 @@ impl WorldModel {
             rssm: Rssm::new(scope.sub("rssm"), model, action_dim),
             decoder: Decoder::new(scope.sub("decoder"), model, side),
             heads: Heads {
-                reward: Mlp::new(
-                    scope.sub("reward"),
-                    reward_feat,
-                    model.reward_layers,
-                    model.units,
-                    1,
-                ),
+                reward: RewardHead::new(scope.sub("reward"), model),
                 inverse: Mlp::new(
                     scope.sub("inverse"),
                     inverse_feat,
@@ -122,11 +117,7 @@ impl WorldModel {
 
     /// What reward and discount heads see: `[s, h, z, h']` with the indicator on, else `[s, h]`.
     pub fn head_feat(&self, state: &State) -> Tensor {
-        if self.config.indicator {
-            state.joint_feat()
-        } else {
-            state.controllable.feat()
-        }
+        head_feat(state, self.config.indicator)
     }
 
     /// The expected reward at a state.
@@ -134,10 +125,7 @@ impl WorldModel {
     /// # Shapes
     /// `[.., ..] -> [..]`
     pub fn reward(&self, state: &State) -> Tensor {
-        self.heads
-            .reward
-            .forward(&self.head_feat(state))
-            .squeeze_dim(-1)
+        self.heads.reward.forward(state)
     }
 
     /// The probability that the episode goes on from a state; none without a discount head.

@@ -12,6 +12,7 @@ mod logging;
 pub mod media;
 mod metrics;
 mod picture;
+pub mod probe;
 mod tensorboard;
 #[cfg(feature = "opentelemetry")]
 mod traces;

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `episode-FRAMES.mp4`, `.json` | an evaluation episode as the agent sees it, and [`EpisodeFacts`] |
 //! | `open_loop-FRAMES.png`, `.mp4`, `.json` | the open-loop panel, and [`OpenLoopFacts`] |
+//! | `probe-FRAMES.json` | a probe of the world model: [`ProbeFacts`] |
 //!
 //! At most 40 of a kind are kept, spread over the whole run.
 //!
@@ -16,6 +17,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use crate::probe::{ProbeReport, ProbedState};
 use crate::{Error, Result, Rgb, write_mp4};
 
 /// Episodes, and panels, that a folder keeps at most: some 20 MB of each.
@@ -56,6 +58,20 @@ pub struct OpenLoopFacts {
     pub context: u32,
     /// Mean squared pixel error of each frame, pixels in `[0, 1]`; the first `context` are reconstructions.
     pub error: Vec<f64>,
+}
+
+/// A probe of the world model: its scores, and what they come from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ProbeFacts {
+    /// Environment frames of the run.
+    pub frames: u64,
+    /// Updates of policy and world model.
+    pub updates: u64,
+    /// The scores.
+    #[serde(flatten)]
+    pub report: ProbeReport,
+    /// The states.
+    pub states: Vec<ProbedState>,
 }
 
 /// Writes into `media/` of a run directory.
@@ -99,6 +115,14 @@ impl MediaFolder {
         self.put(&file("png"), &still.encode_png()?)?;
         write_mp4(&self.dir.join(file("mp4")), video, fps)?;
         self.describe("open_loop", facts.frames, facts)
+    }
+
+    /// Writes a probe.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn probe(&self, facts: &ProbeFacts) -> Result<()> {
+        self.describe("probe", facts.frames, facts)
     }
 
     fn describe(&self, kind: &str, frames: u64, facts: &impl Serialize) -> Result<()> {

@@ -205,6 +205,9 @@ pub struct ActorConfig {
     pub evaluate_interval_frames: u64,
     /// Episodes of one evaluation.
     pub evaluate_episodes: u32,
+    /// States of an evaluation at which the world model is probed: several plans of actions are followed really, by
+    /// repeating the episode from its seed, and in imagination, and their returns are compared; 0 for none.
+    pub probe_states: usize,
     /// Threads of one tensor operation in an actor.
     pub threads: i32,
 }
@@ -220,6 +223,7 @@ impl Default for ActorConfig {
             spool_mb: 64,
             evaluate_interval_frames: 5_000,
             evaluate_episodes: 1,
+            probe_states: 6,
             threads: 1,
         }
     }

@@ -75,12 +75,12 @@ fn media_are_listed_and_served_in_parts() {
     let server = Server::start(root.path(), Guard::Loopback);
     assert_eq!(
         parsed(server.get("/api/media?run=a")),
-        json!({"episode": [], "open_loop": []})
+        json!({"episode": [], "open_loop": [], "probe": []})
     );
     media(&folder);
     assert_eq!(
         parsed(server.get("/api/media?run=a")),
-        json!({"episode": [300], "open_loop": [200]})
+        json!({"episode": [300], "open_loop": [200], "probe": [300]})
     );
     let facts = parsed(server.get("/api/file?run=a&name=episode-0000000300.json"));
     assert_eq!(facts["score"], 42.5);

@@ -68,4 +68,9 @@ fn the_page_shows_what_is_there_and_what_comes() {
         "{page}"
     );
     assert!(page.contains("predicted 0.03"), "{page}");
+    assert!(
+        page.contains("<td>contact</td><td>1</td><td>-1.00</td>"),
+        "{page}"
+    );
+    assert_eq!(page.matches("class=\"probed\"").count(), 6, "{page}");
 }

@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 
 use isodream_core::Config;
 use isodream_dashboard::{Guard, Options, serve};
-use isodream_telemetry::media::{EpisodeFacts, MediaFolder, OpenLoopFacts};
+use isodream_telemetry::media::{EpisodeFacts, MediaFolder, OpenLoopFacts, ProbeFacts};
+use isodream_telemetry::probe::{Probe, ProbedState};
 use isodream_telemetry::{Rgb, encode_mp4};
 use tokio_util::sync::{CancellationToken, DropGuard};
 
@@ -43,7 +44,7 @@ pub(crate) fn append(run: &Path, text: &str) {
     file.write_all(text.as_bytes()).unwrap();
 }
 
-/// An episode of two steps and a panel.
+/// An episode of two steps, a panel and a probe.
 pub(crate) fn media(run: &Path) {
     let folder = MediaFolder::create(run).unwrap();
     let frames = [10, 100, 200].map(|gray| Rgb::filled(32, 32, [gray; 3]));
@@ -68,6 +69,27 @@ pub(crate) fn media(run: &Path) {
         error: vec![0.01, 0.02, 0.03],
     };
     folder.open_loop(&panel, &frames[0], &frames, 5.0).unwrap();
+    let state = |kind: &str, imagined: &[f64]| ProbedState {
+        kind: kind.into(),
+        real: vec![1.0, 2.0, 4.0],
+        imagined: imagined.into(),
+    };
+    let probe = Probe {
+        horizon: 15,
+        plans: ["pedal 0", "pedal 0.5", "pedal 1"].map(String::from).into(),
+        states: vec![
+            state("contact", &[3.0, 2.0, 1.0]),
+            state("free", &[1.0, 2.5, 3.0]),
+        ],
+    };
+    folder
+        .probe(&ProbeFacts {
+            frames: 300,
+            updates: 9,
+            report: probe.report(),
+            states: probe.states,
+        })
+        .unwrap();
 }
 
 /// A dashboard in a thread of its own, until it is dropped.
