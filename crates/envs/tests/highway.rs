@@ -239,7 +239,7 @@ fn the_spec_is_that_of_the_made_environment() {
 
 /// Returns on the road of `id`, which differ by what the driver looks at.
 fn ranking(id: &str) -> [f64; 4] {
-    const EPISODES: u64 = 6;
+    const EPISODES: u64 = 16;
     let mut env = make_without_pictures(&EnvConfig {
         id: id.into(),
         ..EnvConfig::default()
@@ -258,16 +258,15 @@ fn ranking(id: &str) -> [f64; 4] {
     })
 }
 
-/// With fewer episodes than `isodream env drivers` has, so that the bounds are wider than those it is built for: 0.5,
-/// 0.7 and 0.9.
+/// With fewer episodes than `isodream env drivers` has, so that the bounds are wider.
 #[test]
 fn looking_pays_and_looking_ahead_pays_more() {
     for id in ["highway/day", "highway/straight/day"] {
         let [blind, keep_lane, reacting, foreseeing] = ranking(id);
         println!("{id}: {blind:.1} {keep_lane:.1} {reacting:.1} {foreseeing:.1}");
-        assert!(blind < 0.65 * keep_lane, "{id}");
-        assert!(keep_lane < 0.85 * reacting, "{id}");
-        assert!(reacting < 0.97 * foreseeing, "{id}");
+        assert!(blind < 0.6 * keep_lane, "{id}");
+        assert!(keep_lane < 0.8 * reacting, "{id}");
+        assert!(reacting < foreseeing, "{id}");
     }
 }
 

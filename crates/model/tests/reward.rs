@@ -65,7 +65,7 @@ fn the_published_head_is_the_learners() {
     ] {
         let (agent, config) = agent(set);
         let states = states(&config, 7);
-        let wanted = agent.world.reward(&states);
+        let wanted = agent.world().reward(&states);
         for weights in [agent.publish(), agent.save_model()] {
             let model = RewardModel::new(&config, &weights).expect("own weights");
             assert!(model.head().forward(&states).equal(&wanted), "{set:?}");
@@ -90,7 +90,7 @@ fn imagined_returns_are_sums_over_imagined_steps() {
     const SAMPLES: i64 = 3;
     let (agent, config) = agent(&[]);
     let reward = RewardModel::new(&config, &agent.publish()).expect("own weights");
-    let rssm = &agent.world.rssm;
+    let rssm = &agent.world().rssm;
     let plans = Plans {
         starts: states(&config, 2),
         actions: Tensor::rand([2, 4, ACTIONS as i64], FLOAT),
@@ -108,7 +108,7 @@ fn imagined_returns_are_sums_over_imagined_steps() {
     for step in 0..4 {
         let action = plans.actions.select(1, step).index_select(0, &rows);
         state = tch::no_grad(|| rssm.imagine_step(&state, &action));
-        let rewards = values(&agent.world.reward(&state));
+        let rewards = values(&agent.world().reward(&state));
         for row in 0..6 {
             if row < 3 || step < 2 {
                 sums[row] += rewards[row];
@@ -132,12 +132,12 @@ fn many_plans_are_imagined_in_parts() {
         actions: Tensor::rand([count, 2, ACTIONS as i64], FLOAT),
         counted: Tensor::ones([count, 2], FLOAT),
     };
-    let returns = imagined_returns(&agent.world.rssm, reward.head(), &plans, 16);
+    let returns = imagined_returns(&agent.world().rssm, reward.head(), &plans, 16);
     assert_eq!(returns.size(), [count]);
     let nothing = Plans {
         counted: Tensor::zeros([count, 2], FLOAT),
         ..plans
     };
-    let returns = imagined_returns(&agent.world.rssm, reward.head(), &nothing, 16);
+    let returns = imagined_returns(&agent.world().rssm, reward.head(), &nothing, 16);
     assert_eq!(values(&returns), vec![0.0; count as usize]);
 }

@@ -22,7 +22,7 @@ const AHEAD_M: f64 = 200.0;
 /// Depth of the strips at both ends in which cars appear: too far away to be seen popping up.
 const STRIP_M: f64 = 20.0;
 
-/// `count` cars, at rest unless they are too many, dealt to the four lanes before and behind `s`.
+/// `count` cars that roll, dealt to the four lanes before and behind `s`.
 pub(crate) fn initial(
     road: &Road,
     rng: &mut ChaCha8Rng,

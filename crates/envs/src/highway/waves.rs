@@ -49,6 +49,17 @@ impl Waves {
         }
     }
 
+    /// Waves whose fast stretches have their middles at `s`, in every lane.
+    #[cfg(test)]
+    pub(crate) fn fastest_at(road: &Road, s: f64) -> Self {
+        let number = PI / road.length();
+        let phase = -number * s;
+        Self {
+            lanes: [Wave { number, phase }; LANES],
+            seconds: 0.0,
+        }
+    }
+
     pub(crate) fn advance(&mut self, seconds: f64) {
         self.seconds += seconds;
     }
