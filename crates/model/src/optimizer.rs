@@ -89,20 +89,18 @@ impl Adam {
     /// tensor operations pass the memory ten times.
     fn step_in_one_pass(&mut self, params: &Params, offset: i64, gradient: &Tensor, scale: f64) {
         let len = gradient.size()[0];
-        let gradient = gradient.contiguous();
+        let mut gradient = gradient.contiguous();
         let [step_size, correction] = self.corrections().map(|x| x as f32);
         let (scale, eps) = (scale as f32, self.eps as f32);
         let (rate1, beta2) = ((1.0 - BETA1) as f32, BETA2 as f32);
         let rate2 = (1.0 - BETA2) as f32;
-        let flat = params.flat().narrow(0, offset, len);
-        let (first, second) = (
-            self.first.narrow(0, offset, len),
-            self.second.narrow(0, offset, len),
-        );
+        let mut flat = params.flat().narrow(0, offset, len);
+        let mut first = self.first.narrow(0, offset, len);
+        let mut second = self.second.narrow(0, offset, len);
         // SAFETY: all four are contiguous `f32` of `len` numbers on the CPU, of different tensors, and no other thread
         // computes between two jobs of an update.
-        let [parameters, first, second] = [&flat, &first, &second].map(|x| unsafe { numbers(x) });
-        let gradient = unsafe { numbers(&gradient) };
+        let [parameters, first, second, gradient] =
+            [&mut flat, &mut first, &mut second, &mut gradient].map(|x| unsafe { numbers(x) });
         for (((p, m), v), g) in parameters.iter_mut().zip(first).zip(second).zip(gradient) {
             let g = *g * scale;
             *m += rate1 * (g - *m);
@@ -125,7 +123,7 @@ impl Adam {
 ///
 /// # Safety
 /// Nothing else may use them meanwhile.
-unsafe fn numbers(tensor: &Tensor) -> &mut [f32] {
+unsafe fn numbers(tensor: &mut Tensor) -> &mut [f32] {
     // SAFETY: the caller's.
     unsafe { std::slice::from_raw_parts_mut(tensor.data_ptr().cast(), tensor.numel()) }
 }
