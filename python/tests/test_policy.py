@@ -29,6 +29,7 @@ DEBUG: dict[str, Any] = {
     "attention_dim": 16,
 }
 DEBUG |= {"indicator": True, "dependency_gate": True, "encoder_actions": True, "future": "attention", "min_std": 0.1}
+DEBUG |= {"policy_min_std": 0.1}
 
 
 def shapes(model: dict[str, Any], window: int, action_dim: int) -> dict[str, tuple[int, ...]]:

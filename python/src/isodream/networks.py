@@ -117,8 +117,8 @@ class Networks:
 
     def __init__(self, tensors: Mapping[str, Array], config: Mapping[str, Any]) -> None:
         model, self.window = config["model"], config["behavior"]["rollout_window"]
-        self.side: int = config["env"]["image_size"]
-        """Rows and columns of a picture."""
+        self.side = 64 if "world_model.encoder.stem.conv1.weight" in tensors else 32
+        """Rows and columns of a picture: the smaller ones need a layer less."""
         weights = Weights(tensors)
         self._encoder, self._encoder_actions = weights.at("world_model.encoder"), model["encoder_actions"]
         rssm = weights.at("world_model.rssm")
@@ -138,7 +138,7 @@ class Networks:
     ) -> tuple[Latent, Latent]:
         """Posterior samples of both branches after `executed` [N, A] led to `images` [N, side, side, 3]."""
         stem = self._encoder.conv("stem.conv0", images)
-        if self.side != 32:
+        if self.side == 64:
             stem = self._encoder.conv("stem.conv1", stem)
         s_deter = self.controllable.transition(s.stoch, executed, s.deter)
         z_deter = self._free_transition(self._gated(s, z), z.deter)
