@@ -311,23 +311,29 @@ fn a_simulator_has_the_future_of_its_environment() {
 }
 
 #[test]
-fn the_wandering_driver_holds_its_actions_and_stays_in_their_ranges() {
+fn the_wandering_driver_holds_its_actions_and_is_wild_at_times() {
     let mut env = env("highway/day");
     let mut driver = ScriptedDriver::Wander.driver(1);
-    let (mut steps, mut held) = (0, 0);
-    for seed in 0..4 {
+    let (mut steps, mut held, mut jumps, mut steers) = (0, 0, 0, 0);
+    for seed in 0..8 {
         let mut row = env.reset(seed).unwrap();
         let mut before = f32::NAN;
         while !row.is_last {
             let action = driver.act(env.as_ref()).unwrap();
-            assert!(action[0].abs() <= 0.29 && (-0.34..=1.0).contains(&action[1]));
+            assert!(action.iter().all(|value| value.abs() <= 1.0));
+            let change = (action[1] - before).abs();
             steps += 1;
-            held += u32::from((action[1] - before).abs() < 0.07);
+            held += u32::from(change < 0.15);
+            jumps += u32::from(change > 0.5);
+            steers += u32::from(action[0].abs() > 0.3);
             before = action[1];
             row = env.step(&action).unwrap();
         }
     }
-    assert!(steps > 100 && 10 * held > 7 * steps, "{held} of {steps}");
+    println!("{steps} steps: {held} held, {jumps} jumps, {steers} with much steering");
+    assert!(steps > 300 && 10 * held > 5 * steps);
+    // At times it is as wild as uniform actions: what hard steering costs has to be seen.
+    assert!(50 * jumps > steps && 50 * steers > steps);
 }
 
 #[test]

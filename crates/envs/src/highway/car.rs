@@ -17,12 +17,14 @@ const CENTRING_PER_S: f64 = 0.9;
 const CENTRED_M: f64 = 0.3;
 
 /// A driver who is shoved brakes by this much per N s of [`Car::shoved_ns`], up to the most.
-const SHOVE_BRAKE_PER_NS: f64 = 0.003;
+const SHOVE_BRAKE_PER_NS: f64 = 0.02;
 const SHOVE_BRAKE_M_S2: f64 = 9.0;
-/// What is left of a shove no longer keeps the driver from speeding up.
-const NOTICED_M_S2: f64 = 0.1;
-/// The time over which a shove is forgotten, and over which small ones add up.
-const SHOVES_ADD_UP_S: f64 = 1.0;
+/// Nobody stops in the middle of a highway for being shoved: drivers brake down to a crawl, less and less as they come
+/// near it.
+const CRAWL_M_S: f64 = 0.4;
+const NEAR_CRAWL_M_S: f64 = 0.2;
+/// The time constant with which a shove is forgotten, and over which small ones add up.
+const SHOVES_ADD_UP_S: f64 = 0.4;
 /// Speed on an empty road.
 const LEAST_M_S: f64 = 18.0;
 const MOST_M_S: f64 = 24.0;
@@ -161,18 +163,14 @@ impl Car {
 
     /// Tells the driver of an impulse on the car.
     pub(crate) fn shove(&mut self, impulse_ns: f64) {
-        self.shoved_ns += impulse_ns;
+        self.shoved_ns = (self.shoved_ns + impulse_ns).min(SHOVE_BRAKE_M_S2 / SHOVE_BRAKE_PER_NS);
     }
 
-    /// What a driver who is shoved makes of the acceleration that traffic asks for: the harder the shove, the harder it
-    /// brakes, so that pushing others along does not pay.
+    /// What a driver who is shoved makes of the acceleration that traffic asks for: the harder the shove, the less of it
+    /// is left, down to a crawl, so that pushing others along does not pay. It drives on once it is let go.
     pub(crate) fn under_shove(&self, wanted: f64) -> f64 {
-        let brake = (SHOVE_BRAKE_PER_NS * self.shoved_ns).min(SHOVE_BRAKE_M_S2);
-        if brake > NOTICED_M_S2 {
-            wanted.min(-brake)
-        } else {
-            wanted
-        }
+        let above = (self.speed - CRAWL_M_S) / NEAR_CRAWL_M_S;
+        wanted - SHOVE_BRAKE_PER_NS * self.shoved_ns * above.clamp(0.0, 1.0)
     }
 
     /// Replaces the velocity, as a collision does. A pushed car may slide sideways but does not roll backwards.

@@ -397,14 +397,18 @@ mod tests {
             let [car] = cars;
             car
         };
-        let brakes = [10.5, 11.0, 12.0].map(|speed| after(speed).under_shove(1.0));
+        let brakes = [10.2, 10.4, 12.0].map(|speed| after(speed).under_shove(1.0));
         assert!(brakes.is_sorted_by(|a, b| a > b), "{brakes:?}");
         assert!(brakes[0] < 0.0 && brakes[2] < -3.0, "{brakes:?}");
-        let mut car = after(12.0);
-        for _ in 0..100 {
+        // Nobody brakes to a stop for it, and two seconds later it is forgotten.
+        let mut car = after(30.0);
+        let speed = std::mem::replace(&mut car.speed, 0.3);
+        assert_eq!(car.under_shove(1.0), 1.0);
+        car.speed = speed;
+        for _ in 0..40 {
             car.advance(road);
         }
-        assert_eq!(car.under_shove(1.0), 1.0);
+        assert!(car.under_shove(1.0) > 0.9);
     }
 
     #[test]

@@ -12,9 +12,9 @@ use rand_chacha::ChaCha8Rng;
 use crate::highway::road::{LANES, Road};
 
 /// Pace in the middle of a slow stretch, by lane. Nobody comes to a stop.
-const SLOW_M_S: [f64; LANES] = [2.0, 2.1, 2.6, 3.3];
+const SLOW_M_S: [f64; LANES] = [2.0, 2.1, 2.6, 3.5];
 /// Pace in the middle of a fast stretch, by lane. On the left it is beyond what most cars want to drive.
-const FAST_M_S: [f64; LANES] = [4.5, 5.4, 11.7, 28.0];
+const FAST_M_S: [f64; LANES] = [4.2, 5.0, 11.4, 29.0];
 /// From one slow stretch of a lane to the next.
 const LENGTH_M: Range<f64> = 240.0..360.0;
 /// Speed of the waves against the direction of travel.
