@@ -139,11 +139,22 @@ impl Plain {
         let all = self.sequences();
         let at = all.iter().position(|(held, _)| *held == key).unwrap();
         let count = all.len() as f64;
+        let runs = || -> f64 {
+            let runs: f64 = all.iter().map(|(_, starts)| 1.0 / f64::from(*starts)).sum();
+            runs.round()
+        };
         match *selector {
             Selector::Steps => 1.0 / count,
-            Selector::Episodes => {
-                let runs: f64 = all.iter().map(|(_, starts)| 1.0 / f64::from(*starts)).sum();
-                1.0 / (runs.round() * f64::from(all[at].1))
+            Selector::Episodes => 1.0 / (runs() * f64::from(all[at].1)),
+            Selector::Ends { probability } => {
+                let (episode, first) = key;
+                let is_last = |run: &Run| run.episode == episode && run.end() == first + LENGTH;
+                let extra = if self.runs.iter().any(is_last) {
+                    probability
+                } else {
+                    0.0
+                };
+                ((1.0 - probability) / f64::from(all[at].1) + extra) / runs()
             }
             Selector::Prioritized { .. } => {
                 let total: u64 = all.iter().map(|(key, _)| self.weights[key]).sum();
@@ -171,6 +182,7 @@ fn tables() -> Vec<Table> {
     [
         Selector::Steps,
         Selector::Episodes,
+        Selector::Ends { probability: 0.25 },
         Selector::Prioritized { exponent: 0.5 },
         Selector::Fifo,
         Selector::Recent {

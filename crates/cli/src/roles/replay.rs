@@ -104,6 +104,9 @@ fn server_options(config: &Config, folder: PathBuf, door: Door) -> ServerOptions
 fn served_table((name, config): (&String, &TableConfig)) -> ServedTable {
     let selector = match config.selector {
         SelectorKind::Steps => Selector::Steps,
+        SelectorKind::Episodes if config.ends_share > 0.0 => Selector::Ends {
+            probability: config.ends_share,
+        },
         SelectorKind::Episodes => Selector::Episodes,
         SelectorKind::Prioritized => Selector::Prioritized {
             exponent: config.priority_exponent,

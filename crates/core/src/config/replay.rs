@@ -65,6 +65,9 @@ pub struct TableConfig {
     /// Whether draws count against the ratio of `learner.replay_ratio` and wait for it. Draws from other tables
     /// wait only for `learner.prefill_steps`.
     pub limited: bool,
+    /// With `episodes`: share of the draws that take an episode's last sequence, from 0 to 1. The last step, which says
+    /// whether an episode ends, lies in one sequence alone, others in as many as `learner.batch_length`.
+    pub ends_share: f64,
     /// With `prioritized`: the exponent of the priorities, 0 or greater; 0 is uniform.
     pub priority_exponent: f64,
     /// With `recent`: sequences that count as new, at least 1.
@@ -78,6 +81,7 @@ impl Default for TableConfig {
         Self {
             selector: SelectorKind::Episodes,
             limited: true,
+            ends_share: 0.0,
             priority_exponent: 0.6,
             newest: 10_000,
             newest_share: 0.5,

@@ -25,6 +25,11 @@ pub enum Selector {
     Steps,
     /// Uniform over the episodes that hold a sequence, then over their start steps: the paper's.
     Episodes,
+    /// With `probability` (0 to 1) the last sequence of an episode, all episodes alike, else as [`Self::Episodes`].
+    Ends {
+        /// Of a last sequence.
+        probability: f64,
+    },
     /// In proportion to `priority^exponent`; new sequences take the greatest priority ever set. The exponent
     /// is 0 or greater; 0 makes all that have a priority above 0 alike.
     Prioritized {
@@ -48,6 +53,9 @@ impl Selector {
         match *self {
             Self::Prioritized { exponent } if !(exponent >= 0.0 && exponent.is_finite()) => {
                 Some("its priority exponent must be 0 or greater")
+            }
+            Self::Ends { probability } if !(0.0..=1.0).contains(&probability) => {
+                Some("its probability of last sequences must lie between 0 and 1")
             }
             Self::Recent { newest: 0, .. } => Some("its newest sequences must be at least 1"),
             Self::Recent { probability, .. } if !(0.0..=1.0).contains(&probability) => {
@@ -114,7 +122,8 @@ pub(crate) trait Selection: Debug + Send {
 pub(crate) fn start(selector: &Selector, ordinal: u64, step: u64) -> Box<dyn Selection> {
     match *selector {
         Selector::Steps => Box::new(steps::Steps::new()),
-        Selector::Episodes => Box::new(episodes::Episodes::new()),
+        Selector::Episodes => Box::new(episodes::Episodes::new(0.0)),
+        Selector::Ends { probability } => Box::new(episodes::Episodes::new(probability)),
         Selector::Prioritized { exponent } => {
             Box::new(prioritized::Prioritized::new(exponent, step))
         }
