@@ -53,12 +53,11 @@ impl AgentPolicy {
         self.model.load(weights)
     }
 
-    /// One action per environment, from the newest step of each.
-    pub fn act(&mut self, steps: &[&Step], actions: Actions) -> Vec<Vec<f32>> {
-        let decision = self.decide(steps, actions);
-        values(&decision.actions)
-            .chunks(self.spec.action_dim)
-            .map(<[f32]>::to_vec)
+    /// One action per environment, from the newest step of each and taken as each is told.
+    pub fn act(&mut self, steps: &[&Step], how: &[Actions]) -> Vec<Vec<f32>> {
+        let decision = self.decide(steps);
+        let rows = how.iter().enumerate();
+        rows.map(|(row, &how)| values(&decision.actions(how).get(row as i64)))
             .collect()
     }
 
@@ -67,12 +66,12 @@ impl AgentPolicy {
     /// # Panics
     /// If this policy is over more than one environment: a defect of the caller.
     pub fn act_with_insight(&mut self, step: &Step, actions: Actions) -> (Vec<f32>, Insight) {
-        let decision = self.decide(&[step], actions);
+        let decision = self.decide(&[step]);
         let insight = Insight {
             attention: decision.attention.as_ref().map(values).unwrap_or_default(),
             gate: decision.gate.as_ref().map(|open| values(open)[0]),
         };
-        (values(&decision.actions), insight)
+        (values(decision.actions(actions)), insight)
     }
 
     /// Posterior latents at every step of an episode, `[T, ..]`, without a change of the memory.
@@ -101,7 +100,7 @@ impl AgentPolicy {
         values(&returns).into_iter().map(f64::from).collect()
     }
 
-    fn decide(&mut self, steps: &[&Step], actions: Actions) -> Decision {
+    fn decide(&mut self, steps: &[&Step]) -> Decision {
         let image = self.spec.image;
         let count = steps.len() as i64;
         let pixels: Vec<u8> = steps
@@ -120,13 +119,8 @@ impl AgentPolicy {
             .collect();
         let executed = Tensor::from_slice(&executed).view([count, -1]);
         let is_first: Vec<bool> = steps.iter().map(|step| step.is_first).collect();
-        self.model.step(
-            &mut self.state,
-            &preprocess(&pixels),
-            &executed,
-            &is_first,
-            actions,
-        )
+        self.model
+            .step(&mut self.state, &preprocess(&pixels), &executed, &is_first)
     }
 }
 

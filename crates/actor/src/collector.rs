@@ -117,6 +117,9 @@ impl Collector {
                     for (lane, row) in self.lanes.iter_mut().zip(rows) {
                         lane.begin(row);
                     }
+                    for exploration in &mut self.exploration {
+                        exploration.begin();
+                    }
                     return Ok(());
                 }
                 Err(error) => self.failures.another(error.into())?,
@@ -157,7 +160,8 @@ impl Collector {
     fn act(&mut self, agent: Option<&mut AgentPolicy>) -> anyhow::Result<Vec<f32>> {
         let mut chosen = agent.map(|agent| {
             let steps: Vec<&Step> = self.lanes.iter().map(Lane::newest).collect();
-            agent.act(&steps, Actions::Sample).into_iter()
+            let how: Vec<Actions> = self.exploration.iter().map(Exploration::actions).collect();
+            agent.act(&steps, &how).into_iter()
         });
         let mut actions = Vec::new();
         for (index, exploration) in self.exploration.iter_mut().enumerate() {
@@ -183,7 +187,8 @@ impl Collector {
         let steps = self.environments.step(actions)?;
         let action_dim = self.environments.spec().action_dim;
         let executed = actions.chunks(action_dim);
-        for ((lane, step), action) in self.lanes.iter_mut().zip(steps).zip(executed) {
+        let lanes = self.lanes.iter_mut().zip(&mut self.exploration);
+        for (((lane, exploration), step), action) in lanes.zip(steps).zip(executed) {
             lane.go_on(step.transition, action.to_vec());
             let Some(next) = step.next else { continue };
             let (episode_id, outcome) = lane.finish(next.metrics);
@@ -196,6 +201,7 @@ impl Collector {
             ));
             self.failures.none();
             lane.begin(next.first);
+            exploration.begin();
         }
         Ok(())
     }

@@ -1,21 +1,25 @@
-//! Random actions of a collecting actor: all of them before there is a policy, some of them afterwards.
+//! How a collecting actor departs from samples of its policy: random actions before there is one and at times later on,
+//! and episodes of the most likely actions.
 
 use isodream_core::config::{ActorConfig, Prefill};
 use isodream_core::derive_seed;
 use isodream_envs::{Driver, EnvError, Environment, RandomDriver, WanderDriver};
+use isodream_model::Actions;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// Steps of a stretch of random actions.
 const STRETCH: u32 = 15;
 
-/// Random actions of one environment.
+/// The choices for one environment.
 pub(crate) struct Exploration {
     prefill: Box<dyn Driver>,
     wander: WanderDriver,
     /// How likely a stretch of random actions begins at a step.
     begins: f64,
     steps_left: u32,
+    greedy_share: f64,
+    greedy: bool,
     rng: ChaCha8Rng,
 }
 
@@ -37,7 +41,23 @@ impl Exploration {
                 1.0
             },
             steps_left: 0,
+            greedy_share: config.greedy_share,
+            greedy: false,
             rng: ChaCha8Rng::seed_from_u64(stream("when")),
+        }
+    }
+
+    /// An episode begins.
+    pub(crate) fn begin(&mut self) {
+        self.greedy = self.rng.random_bool(self.greedy_share);
+    }
+
+    /// How the policy's action is taken in this episode.
+    pub(crate) fn actions(&self) -> Actions {
+        if self.greedy {
+            Actions::Mode
+        } else {
+            Actions::Sample
         }
     }
 
@@ -56,5 +76,55 @@ impl Exploration {
         }
         self.steps_left -= 1;
         self.wander.act(env).map(Some)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use isodream_core::config::EnvConfig;
+
+    use super::*;
+
+    fn exploration(explore_share: f64, greedy_share: f64) -> Exploration {
+        let config = ActorConfig {
+            explore_share,
+            greedy_share,
+            ..ActorConfig::default()
+        };
+        Exploration::new(&config, 1, 0)
+    }
+
+    #[test]
+    fn random_actions_come_in_stretches_and_have_their_share() {
+        let env = isodream_envs::make_without_pictures(&EnvConfig::default()).unwrap();
+        let drawn = |share: f64| -> Vec<bool> {
+            let mut exploration = exploration(share, 0.0);
+            let mut step = || exploration.instead(env.as_ref()).unwrap().is_some();
+            (0..20_000).map(|_| step()).collect()
+        };
+        assert!(!drawn(0.0).contains(&true));
+        assert!(!drawn(1.0).contains(&false));
+        let drawn = drawn(0.2);
+        let random = drawn.iter().filter(|&&random| random).count() as f64;
+        assert!((random / drawn.len() as f64 - 0.2).abs() < 0.03, "{random}");
+        // Stretches may follow each other; the last one may be cut off.
+        let stretches = drawn.split(|&random| !random).map(<[bool]>::len);
+        let (all, cut) = (stretches.clone().count(), STRETCH as usize);
+        assert!(stretches.take(all - 1).all(|steps| steps % cut == 0));
+    }
+
+    #[test]
+    fn whole_episodes_are_greedy_and_have_their_share() {
+        let greedy = |share: f64| -> usize {
+            let mut exploration = exploration(0.0, share);
+            let mut episode = || {
+                exploration.begin();
+                exploration.actions() == Actions::Mode
+            };
+            (0..2_000).filter(|_| episode()).count()
+        };
+        assert_eq!([greedy(0.0), greedy(1.0)], [0, 2_000]);
+        let some = greedy(0.3);
+        assert!((540..660).contains(&some), "{some}");
     }
 }

@@ -77,12 +77,24 @@ pub struct Lookahead {
 /// A decision and what it was made of.
 #[derive(Debug)]
 pub struct Decision {
-    /// `[M, A]`.
-    pub actions: Tensor,
+    /// Actions drawn from the policy, `[M, A]`.
+    pub samples: Tensor,
+    /// The most likely ones, `[M, A]`.
+    pub modes: Tensor,
     /// Weights over the rollout `[M, tau]` (Eq. 13); absent where the policy does not look ahead.
     pub attention: Option<Tensor>,
     /// Openings of the dependency gate `[M, 1]` (Eq. 11); absent without a gate.
     pub gate: Option<Tensor>,
+}
+
+impl Decision {
+    /// The actions taken as `how` says, `[M, A]`.
+    pub fn actions(&self, how: Actions) -> &Tensor {
+        match how {
+            Actions::Sample => &self.samples,
+            Actions::Mode => &self.modes,
+        }
+    }
 }
 
 /// How foreseen states enter the policy.
@@ -189,16 +201,12 @@ impl Policy<'_> {
         }
     }
 
-    /// The action at features `e_t` (Eq. 14).
+    /// The distribution of actions at features `e_t` (Eq. 14).
     ///
     /// # Shapes
     /// `[N, feat] -> [N, A]`
-    pub fn act(&self, feat: &Tensor, actions: Actions) -> Tensor {
-        let distribution = self.actor.distribution(&self.actor.raw(feat));
-        match actions {
-            Actions::Sample => distribution.sample(),
-            Actions::Mode => distribution.mode(),
-        }
+    pub fn act(&self, feat: &Tensor) -> TruncatedNormal {
+        self.actor.distribution(&self.actor.raw(feat))
     }
 }
 
@@ -302,7 +310,6 @@ impl ActingModel {
         images: &Tensor,
         executed: &Tensor,
         is_first: &[bool],
-        actions: Actions,
     ) -> Decision {
         let _guard = tch::no_grad_guard();
         let device = self.params.device();
@@ -321,8 +328,10 @@ impl ActingModel {
         let policy = self.policy();
         let lookahead = policy.look_ahead(state);
         let (feat, attention) = policy.attend(state, &lookahead);
+        let distribution = policy.act(&feat);
         Decision {
-            actions: policy.act(&feat, actions).to_device(Device::Cpu),
+            samples: distribution.sample().to_device(Device::Cpu),
+            modes: distribution.mode().to_device(Device::Cpu),
             attention: attention.map(|weights| weights.to_device(Device::Cpu)),
             gate: lookahead.gate.map(|open| open.to_device(Device::Cpu)),
         }

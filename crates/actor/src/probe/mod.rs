@@ -172,7 +172,7 @@ fn follow(
                 is_last: false,
                 is_terminal: false,
             };
-            policy = agent.act(&[&seen], Actions::Mode).remove(0);
+            policy = agent.act(&[&seen], &[Actions::Mode]).remove(0);
         }
     }
     Ok(Some(way))
