@@ -43,6 +43,12 @@ struct Optimizers {
     critic: Adam,
 }
 
+impl Optimizers {
+    fn all_mut(&mut self) -> [&mut Adam; 3] {
+        [&mut self.world, &mut self.actor, &mut self.critic]
+    }
+}
+
 /// A metric of one update; reading the tensor waits for the device.
 pub type Metric = (&'static str, Tensor);
 
@@ -115,6 +121,7 @@ impl Agent {
     /// [`Self::update`] with its phases measured.
     pub fn measured_update(&mut self, batch: &Batch, laps: &mut Laps) -> Vec<Metric> {
         self.move_slow_critic();
+        self.decay_learning_rates();
         let shares = batch.split(1 + self.workers.len());
         let weights: Vec<f64> = shares
             .iter()
@@ -228,6 +235,16 @@ impl Agent {
             behavior.slow_critic_fraction
         };
         let _ = tch::no_grad(|| slow.shallow_clone().lerp_(&newest, fraction));
+    }
+
+    /// Learning rates fall in a straight line over the run.
+    fn decay_learning_rates(&mut self) {
+        let total = self.config.total_updates().max(1) as f64;
+        let gone = (self.updates as f64 / total).min(1.0);
+        let factor = 1.0 - (1.0 - self.config.optimizer.final_share) * gone;
+        for adam in self.optimizers.all_mut() {
+            adam.lr_factor = factor;
+        }
     }
 
     /// Steps of actor and critic after so many updates.

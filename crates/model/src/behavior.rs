@@ -74,7 +74,7 @@ pub fn imagine(
         let feat = policy.feat(&state, &lookahead);
         let next = (t + 1 < horizon).then(|| {
             let raw = policy.actor.raw(&feat.detach());
-            saturations.push(saturation(&raw));
+            saturations.push(saturation(&raw, config.mean_limit));
             let distribution = policy.actor.distribution(&raw);
             entropies.push(distribution.entropy());
             let action = distribution.sample();

@@ -10,6 +10,7 @@ use isodream_core::config::{InverseInput, VarianceLoss};
 use crate::encoder::embed_dim;
 use crate::laps::phase;
 use crate::policy::{attends, feat_width, looks_ahead};
+use crate::world_model::open_loop_start;
 
 /// Floating-point operations of one update, by [`phase`].
 #[derive(Debug, Clone, PartialEq)]
@@ -27,9 +28,14 @@ impl UpdateCost {
         let background_share = (config.model.background_frames as f64 / length).min(1.0);
         // Once per sequence, on some of its frames.
         let background = macs.background_decoder / length + macs.tail * background_share;
+        let predicted = if config.loss.open_loop_scale > 0.0 {
+            1.0 - open_loop_start(learner.batch_length as i64) as f64 / length
+        } else {
+            0.0
+        };
         let (encode, losses) = (
             macs.encoder_rest + macs.observe,
-            macs.hypothetical + macs.heads,
+            macs.hypothetical + macs.heads + predicted * macs.open_loop,
         );
         // Only some frames are decoded.
         let shown = (config.loss.decoded_share * length)
@@ -102,6 +108,8 @@ struct Macs {
     observe: f64,
     hypothetical: f64,
     heads: f64,
+    /// A step of both branches without an observation, and its reward.
+    open_loop: f64,
     imagined_state: BehaviorMacs,
     imagined_step: BehaviorMacs,
 }
@@ -170,6 +178,12 @@ impl Macs {
             VarianceLoss::Paper => 3.0,
             VarianceLoss::Deter => 0.0,
         };
+        // One hypothetical transition of the one branch and two of the other.
+        let hypothetical = if config.loss.constrains_variance() {
+            3.0 * transition + hypothetical_priors * prior
+        } else {
+            0.0
+        };
 
         let noncontrollable = if model.indicator {
             transition + prior + gate
@@ -224,9 +238,9 @@ impl Macs {
             background_decoder: projection(float(model.background_frames) * embed)
                 + upsampling(3.0),
             observe: 2.0 * (transition + prior + posterior) + gate,
-            // One hypothetical transition of the one branch and two of the other.
-            hypothetical: 3.0 * transition + hypothetical_priors * prior,
+            hypothetical,
             heads: reward + discount + mlp(inverse_feat, model.inverse_layers, action),
+            open_loop: 2.0 * (transition + prior) + gate + reward,
             imagined_state,
             imagined_step,
         }

@@ -106,14 +106,14 @@ impl TruncatedNormal {
     }
 }
 
-/// `sum_A max(0, |m| - 1)^2` of the actor's raw outputs: how far they lie where `tanh` is flat. An actor that goes there
+/// `sum_A max(0, |m| - limit)^2` of the actor's raw outputs. Beyond a limit of 1, `tanh` is flat: an actor that goes there
 /// gets no gradient to come back by, so that `behavior.mean_penalty` weighs this.
 ///
 /// # Shapes
 /// `[.., 2 A] -> [..]`
-pub fn saturation(raw: &Tensor) -> Tensor {
+pub fn saturation(raw: &Tensor, limit: f64) -> Tensor {
     let m = &raw.chunk(2, -1)[0];
-    sum_last(&(m.abs() - 1.0).relu().square())
+    sum_last(&(m.abs() - limit).relu().square())
 }
 
 fn sum_last(x: &Tensor) -> Tensor {
@@ -128,13 +128,16 @@ mod tests {
     fn saturation_grows_beyond_one_and_keeps_its_gradient() {
         // Two action dimensions: (3 - 1)^2 + (1.5 - 1)^2; the second half is the widths'.
         let raw = Tensor::from_slice(&[-3.0_f32, 1.5, 9.0, 9.0]).set_requires_grad(true);
-        let penalty = saturation(&raw);
+        let penalty = saturation(&raw, 1.0);
         assert!((penalty.double_value(&[]) - 4.25).abs() < 1e-6);
         let gradient = Tensor::run_backward(&[penalty], &[&raw], false, false);
         let gradient = Vec::<f32>::try_from(&gradient[0]).expect("numbers");
         assert_eq!(gradient, [-4.0, 1.0, 0.0, 0.0]);
-        let inside = saturation(&Tensor::from_slice(&[0.9_f32, -0.5, 0.0, 0.0]));
+        let inside = saturation(&Tensor::from_slice(&[0.9_f32, -0.5, 0.0, 0.0]), 1.0);
         assert_eq!(inside.double_value(&[]), 0.0);
+        // Without a limit, all of it: 0.81 + 0.25.
+        let squared = saturation(&Tensor::from_slice(&[0.9_f32, -0.5, 0.0, 0.0]), 0.0);
+        assert!((squared.double_value(&[]) - 1.06).abs() < 1e-6);
     }
 
     #[test]

@@ -12,6 +12,8 @@ const BETA2: f64 = 0.999;
 #[derive(Debug)]
 pub struct Adam {
     lr: f64,
+    /// What the learning rate is multiplied by.
+    pub lr_factor: f64,
     eps: f64,
     grad_clip: f64,
     /// First moment, flat like the parameters.
@@ -27,6 +29,7 @@ impl Adam {
     pub fn new(params: &Params, lr: f64, config: &OptimizerConfig) -> Self {
         Self {
             lr,
+            lr_factor: 1.0,
             eps: config.eps,
             grad_clip: config.grad_clip,
             first: params.flat().zeros_like(),
@@ -113,7 +116,7 @@ impl Adam {
     fn corrections(&self) -> [f64; 2] {
         let steps = self.steps as i32;
         [
-            self.lr / (1.0 - BETA1.powi(steps)),
+            self.lr * self.lr_factor / (1.0 - BETA1.powi(steps)),
             (1.0 - BETA2.powi(steps)).sqrt(),
         ]
     }

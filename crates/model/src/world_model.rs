@@ -16,7 +16,7 @@ use crate::nn::{Mlp, to_phases};
 use crate::noise::choose;
 use crate::params::Scope;
 use crate::reward::{RewardHead, head_feat};
-use crate::rssm::{Branch, Observed, Rssm, State};
+use crate::rssm::{Branch, Observed, Rssm, State, stack};
 
 /// Frames that are decoded at a time: more need more memory and are no faster.
 const DECODED_FRAMES: i64 = 64;
@@ -238,16 +238,13 @@ impl WorldModel {
             &observed.noncontrollable_posterior,
             &observed.noncontrollable_prior,
         );
-        let (max_action, min_free) = self.variance_losses(&batch.actions, observed);
 
         let weights = &self.loss;
         let mut total = &image
             + &reward * weights.reward_scale
             + &action * weights.action_scale
             + &controllable_kl * weights.controllable_kl_scale
-            + &noncontrollable_kl * weights.noncontrollable_kl_scale
-            + &max_action * weights.max_action_scale
-            + &min_free * weights.min_free_scale;
+            + &noncontrollable_kl * weights.noncontrollable_kl_scale;
         let reward_error = (reward_mean - &batch.rewards).abs().mean(Kind::Float);
         let [controllable_mask, noncontrollable_mask] = masks;
         let mut terms = vec![
@@ -256,16 +253,26 @@ impl WorldModel {
             ("train/loss/action", action),
             ("train/loss/controllable_kl", controllable_kl),
             ("train/loss/noncontrollable_kl", noncontrollable_kl),
-            ("train/loss/max_action", max_action),
-            ("train/loss/min_free", min_free),
             ("train/reward_error", reward_error),
             ("train/mask/controllable", controllable_mask),
             ("train/mask/noncontrollable", noncontrollable_mask),
         ];
+        if weights.constrains_variance() {
+            let (max_action, min_free) = self.variance_losses(&batch.actions, observed);
+            total += &max_action * weights.max_action_scale + &min_free * weights.min_free_scale;
+            terms.push(("train/loss/max_action", max_action));
+            terms.push(("train/loss/min_free", min_free));
+        }
         if let Some(open) = &observed.gate_open {
             let gate = open.mean(Kind::Float);
             total += &gate * weights.gate_scale;
             terms.push(("train/loss/gate", gate));
+        }
+        if weights.open_loop_scale > 0.0 {
+            let (open_loop, error) = self.open_loop_reward(batch, observed);
+            total += &open_loop * weights.open_loop_scale;
+            terms.push(("train/loss/open_loop", open_loop));
+            terms.push(("train/open_loop_error", error));
         }
         if let Some(head) = &self.heads.discount {
             let logits = head
@@ -287,6 +294,23 @@ impl WorldModel {
             terms,
             states: observed.states.map(Tensor::detach),
         }
+    }
+
+    /// The reward log loss of states that are predicted from the actions alone, once a quarter of each sequence is seen:
+    /// what the returns of imagination are made of. With the mean absolute error.
+    fn open_loop_reward(&self, batch: &Batch, observed: &Observed) -> (Tensor, Tensor) {
+        let length = batch.actions.size()[1];
+        let seen = open_loop_start(length);
+        let mut state = observed.states.map(|x| x.select(1, seen - 1));
+        let mut states = Vec::new();
+        for t in seen..length {
+            state = self.rssm.imagine_step(&state, &batch.actions.select(1, t));
+            states.push(state.map(Tensor::shallow_clone));
+        }
+        let rewards = self.reward(&stack(&states, 1));
+        let target = batch.rewards.narrow(1, seen, length - seen);
+        let error = (&rewards - &target).abs().mean(Kind::Float);
+        (gaussian_nll(&rewards, &target, 0), error)
     }
 
     fn kl(&self, posterior: &crate::rssm::Gaussian, prior: &crate::rssm::Gaussian) -> Tensor {
@@ -381,6 +405,11 @@ impl WorldModel {
     }
 }
 
+/// Steps of a sequence that are seen before the rest of it is predicted in open loop.
+pub(crate) fn open_loop_start(length: i64) -> i64 {
+    (length / 4).max(1)
+}
+
 /// Rows of `[sequences length, ..]` that are `shown` different frames of each sequence, drawn at random; none where all
 /// are shown.
 fn some_frames(sequences: i64, length: i64, shown: i64, device: Device) -> Option<Tensor> {
@@ -425,15 +454,42 @@ mod tests {
         assert_eq!(nonzero_steps(&joined), [2, 3, 4]);
     }
 
-    #[test]
-    fn inverse_dynamics_predicts_the_action_between_two_states() {
+    /// A small world model of two actions.
+    fn world(params: &mut Params) -> WorldModel {
         let config = Config::load(&Source {
             preset: Some("debug".into()),
             ..Source::default()
         })
         .expect("a valid preset");
+        WorldModel::new(params.root("world_model"), &config, 2)
+    }
+
+    #[test]
+    fn the_open_loop_loss_sees_a_quarter_of_the_pictures_and_all_actions() {
         let mut params = Params::new(Device::Cpu);
-        let world = WorldModel::new(params.root("world_model"), &config, 2);
+        let world = world(&mut params);
+        let images = Tensor::rand([2, 8, 3, 64, 64], FLOAT).set_requires_grad(true);
+        let actions = Tensor::rand([2, 8, 2], FLOAT).set_requires_grad(true);
+        let encoded = world.encode(&images, &actions);
+        let batch = Batch {
+            images: images.shallow_clone(),
+            actions: actions.shallow_clone(),
+            rewards: Tensor::zeros([2, 8], FLOAT),
+            discounts: Tensor::ones([2, 8], FLOAT),
+        };
+        let (loss, error) = world.open_loop_reward(&batch, &encoded.observed);
+        let by = Tensor::run_backward(&[&loss], &[&images, &actions], false, false);
+        assert_eq!(nonzero_steps(&by[0]), [0, 1]);
+        assert_eq!(nonzero_steps(&by[1]), [0, 1, 2, 3, 4, 5, 6, 7]);
+        // Rewards are zero: the error is the mean of what is predicted.
+        let squared = (loss.double_value(&[]) - HALF_LOG_2PI) * 2.0;
+        assert!(squared > 0.0 && error.double_value(&[]).powi(2) <= squared);
+    }
+
+    #[test]
+    fn inverse_dynamics_predicts_the_action_between_two_states() {
+        let mut params = Params::new(Device::Cpu);
+        let world = world(&mut params);
         let images = Tensor::rand([2, 6, 3, 64, 64], FLOAT) - 0.5;
         let actions = Tensor::rand([2, 6, 2], FLOAT);
         let encoded = world.encode(&images, &actions);

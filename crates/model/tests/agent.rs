@@ -5,7 +5,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use isodream_core::config::{Config, InverseInput, Source};
 use isodream_core::{EnvSpec, ImageShape};
 use isodream_model::behavior::imagine;
-use isodream_model::{ActingModel, Actions, Agent, Batch};
+use isodream_model::{ActingModel, Agent, Batch};
 use tch::{Device, Kind, Tensor};
 
 const ACTIONS: usize = 2;
@@ -106,9 +106,8 @@ fn deployed_and_imagined_policy_act_alike() {
 
         tch::manual_seed(5);
         let mut memory = acting.begin(count);
-        let deployed = acting
-            .step(&mut memory, &images, &nothing, &first, Actions::Sample)
-            .actions;
+        let decision = acting.step(&mut memory, &images, &nothing, &first);
+        let (deployed, modes) = (decision.samples, decision.modes);
 
         tch::manual_seed(5);
         let encoder = &agent.world().encoder;
@@ -125,13 +124,7 @@ fn deployed_and_imagined_policy_act_alike() {
 
         // The second step goes on from the first one's latents and action.
         tch::manual_seed(6);
-        let second = acting.step(
-            &mut memory,
-            &next_images,
-            &deployed,
-            &later,
-            Actions::Sample,
-        );
+        let second = acting.step(&mut memory, &next_images, &deployed, &later);
         if let Some(weights) = &second.attention {
             let window = config.behavior.rollout_window;
             assert_eq!(weights.size(), [count, window]);
@@ -142,23 +135,20 @@ fn deployed_and_imagined_policy_act_alike() {
             second.attention.is_some(),
             isodream_model::policy::attends(&config)
         );
-        let second = second.actions;
+        let second = second.samples;
         tch::manual_seed(6);
         let embed = encoder.embed(&encoder.stem.forward(&next_images), &deployed);
         let state = agent.world().rssm.observe_step(&state, &deployed, &embed);
         let policy = agent.policy();
-        let wanted = policy.act(
-            &policy.feat(&state, &policy.look_ahead(&state)),
-            Actions::Sample,
-        );
+        let wanted = policy.act(&policy.feat(&state, &policy.look_ahead(&state)));
+        let wanted = wanted.sample();
         assert!(second.equal(&wanted), "{set:?}: {second} {wanted}");
 
         // A reset forgets both.
         tch::manual_seed(5);
-        let again = acting
-            .step(&mut memory, &images, &nothing, &first, Actions::Sample)
-            .actions;
-        assert!(again.equal(&deployed), "{set:?}: {again} {deployed}");
+        let again = acting.step(&mut memory, &images, &nothing, &first);
+        assert!(again.samples.equal(&deployed), "{set:?}: {deployed}");
+        assert!(again.modes.equal(&modes) && !modes.equal(&deployed));
     }
 }
 
@@ -217,6 +207,9 @@ fn every_option_trains_and_the_losses_fall() {
             "loss.decoded_share=0.4",
             "behavior.normalize_returns=true",
             "behavior.mean_penalty=0.01",
+            "behavior.mean_limit=0",
+            "loss.open_loop_scale=10",
+            "model.discount_head=true",
             "behavior.slow_critic_interval=1",
             "behavior.slow_critic_fraction=0.02",
             "learner.workers=2",
@@ -261,6 +254,43 @@ fn behaviour_learning_waits_for_its_warmup() {
         })
         .collect();
     assert_eq!(has_actor_loss, [false, false, true]);
+}
+
+#[test]
+fn learning_rates_fall_to_their_final_share() {
+    let _alone = alone();
+    // What the second update adds to the weights, in the order of the file.
+    let second_step = |decay: &str| -> Vec<f32> {
+        let set = ["learner.env_frames=0", "learner.pretrain_updates=1", decay];
+        let config = small(&set);
+        assert_eq!(config.total_updates(), 1);
+        let batch = batch(&config);
+        let mut agent = Agent::new(&config, &spec(), Device::Cpu);
+        agent.update(&batch);
+        let before = agent.save_model();
+        agent.update(&batch);
+        let after = agent.save_model();
+        let numbers = |bytes: &[u8]| -> Vec<f32> {
+            let file = safetensors::SafeTensors::deserialize(bytes).expect("own bytes");
+            let tensors = file.tensors().into_iter();
+            let world = tensors.filter(|(name, _)| name.starts_with("world_model"));
+            world
+                .flat_map(|(_, view)| view.data().to_vec())
+                .collect::<Vec<u8>>()
+                .chunks_exact(4)
+                .map(|four| f32::from_le_bytes(four.try_into().expect("four bytes")))
+                .collect()
+        };
+        let pairs = numbers(&after).into_iter().zip(numbers(&before));
+        pairs.map(|(after, before)| after - before).collect()
+    };
+    let (whole, decayed) = (
+        second_step("optimizer.final_share=1"),
+        second_step("optimizer.final_share=0.1"),
+    );
+    let size = |step: &[f32]| step.iter().map(|x| f64::from(x.abs())).sum::<f64>();
+    let ratio = size(&decayed) / size(&whole);
+    assert!((ratio - 0.1).abs() < 1e-3, "{ratio}");
 }
 
 #[test]

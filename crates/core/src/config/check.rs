@@ -27,6 +27,7 @@ impl Config {
             ),
             ("model.policy_min_std", self.model.policy_min_std),
             ("loss.decoded_share", self.loss.decoded_share),
+            ("optimizer.final_share", self.optimizer.final_share),
             (
                 "behavior.slow_critic_fraction",
                 self.behavior.slow_critic_fraction,
@@ -80,6 +81,8 @@ impl Config {
             ),
             ("loss.kl_balance", self.loss.kl_balance),
             ("actor.explore_share", self.actor.explore_share),
+            ("actor.greedy_share", self.actor.greedy_share),
+            ("optimizer.final_share", self.optimizer.final_share),
             ("loss.decoded_share", self.loss.decoded_share),
             (
                 "behavior.slow_critic_fraction",
@@ -168,8 +171,13 @@ impl Config {
             if table.newest == 0 {
                 return Err(invalid(&key("newest"), "must be at least 1"));
             }
-            if !(0.0..=1.0).contains(&table.newest_share) {
-                return Err(invalid(&key("newest_share"), "must lie between 0 and 1"));
+            for (field, share) in [
+                ("ends_share", table.ends_share),
+                ("newest_share", table.newest_share),
+            ] {
+                if !(0.0..=1.0).contains(&share) {
+                    return Err(invalid(&key(field), "must lie between 0 and 1"));
+                }
             }
         }
         if !self.replay.tables.contains_key(&self.learner.table) {

@@ -173,6 +173,16 @@ pub struct LossConfig {
     /// Share of a batch's frames that are decoded, in (0, 1]: drawn at random, so that the image loss stays unbiased.
     /// Decoding is most of an update's work.
     pub decoded_share: f64,
+    /// Weight of the reward log loss in open loop: of states that are predicted from the actions alone, once a quarter
+    /// of each sequence is seen. It trains what imagination uses, and costs one rollout more; 0 in the paper.
+    pub open_loop_scale: f64,
+}
+
+impl LossConfig {
+    /// Whether either variance constraint has a weight; they are not computed else.
+    pub fn constrains_variance(&self) -> bool {
+        self.max_action_scale != 0.0 || self.min_free_scale != 0.0
+    }
 }
 
 impl Default for LossConfig {
@@ -192,6 +202,7 @@ impl Default for LossConfig {
             controllable_posterior_share: 0.5,
             noncontrollable_posterior_share: 1.0,
             decoded_share: 1.0,
+            open_loop_scale: 0.0,
         }
     }
 }

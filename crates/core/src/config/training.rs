@@ -23,9 +23,11 @@ pub struct BehaviorConfig {
     /// Whether the actor's returns are divided by their running range (5th to 95th percentile, 1 at the least), as in
     /// DreamerV3: one `entropy_scale` fits rewards of any size. The paper's and the authors' returns are not.
     pub normalize_returns: bool,
-    /// Weight of `sum max(0, |m| - 1)^2` in the actor's loss, `m` its mean before `tanh`. With the authors' 0 an actor
-    /// can saturate within a hundred updates, and gets no gradient from then on.
+    /// Weight of `sum max(0, |m| - mean_limit)^2` in the actor's loss, `m` its mean before `tanh`. With the authors' 0 an
+    /// actor can saturate within a hundred updates, and gets no gradient from then on.
     pub mean_penalty: f64,
+    /// What `|m|` may be without a penalty. With 0, an action that brings nothing goes back to the middle of its range.
+    pub mean_limit: f64,
     /// Updates between two moves of the slow critic towards the critic.
     pub slow_critic_interval: u64,
     /// How far it moves, in (0, 1]: 1 copies the critic, as in the paper.
@@ -49,6 +51,7 @@ impl Default for BehaviorConfig {
             entropy_scale: 1e-4,
             normalize_returns: false,
             mean_penalty: 0.0,
+            mean_limit: 1.0,
             slow_critic_interval: 100,
             slow_critic_fraction: 1.0,
             value_gradient: true,
@@ -68,6 +71,9 @@ pub struct OptimizerConfig {
     pub actor_lr: f64,
     /// Learning rate of critic and attention.
     pub critic_lr: f64,
+    /// Share of the learning rates that is left at the end of the run, in (0, 1]: they fall in a straight line. 1 keeps
+    /// them, as in the paper.
+    pub final_share: f64,
     /// Adam's epsilon.
     pub eps: f64,
     /// Greatest global norm of a gradient.
@@ -80,6 +86,7 @@ impl Default for OptimizerConfig {
             model_lr: 3e-4,
             actor_lr: 8e-5,
             critic_lr: 8e-5,
+            final_share: 1.0,
             eps: 1e-5,
             grad_clip: 100.0,
         }
@@ -197,6 +204,9 @@ pub struct ActorConfig {
     /// Share of their steps that collecting actors act at random later on, in stretches of held actions; 0 as in the
     /// paper, which samples from the policy alone.
     pub explore_share: f64,
+    /// Share of their episodes in which collecting actors take the most likely action in place of a sample, as
+    /// evaluations do, so that the world model learns where this leads; 0 as in the paper.
+    pub greedy_share: f64,
     /// Chunks an actor holds unacknowledged before it pauses its environments.
     pub spool_chunks: usize,
     /// The same in MB of chunks as they are encoded; a single chunk always has room.
@@ -219,6 +229,7 @@ impl Default for ActorConfig {
             environments: 1,
             prefill: Prefill::Random,
             explore_share: 0.0,
+            greedy_share: 0.0,
             spool_chunks: 8,
             spool_mb: 64,
             evaluate_interval_frames: 5_000,
