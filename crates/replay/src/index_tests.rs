@@ -148,7 +148,8 @@ impl Plain {
             Selector::Episodes => 1.0 / (runs() * f64::from(all[at].1)),
             Selector::Ends { probability } => {
                 let (episode, first) = key;
-                let is_last = |run: &Run| run.episode == episode && run.end() == first + LENGTH;
+                let is_last =
+                    |run: &PlainRun| run.episode == episode && run.end() == first + LENGTH;
                 let extra = if self.runs.iter().any(is_last) {
                     probability
                 } else {
