@@ -56,9 +56,19 @@ impl AgentPolicy {
     /// One action per environment, from the newest step of each and taken as each is told.
     pub fn act(&mut self, steps: &[&Step], how: &[Actions]) -> Vec<Vec<f32>> {
         let decision = self.decide(steps);
+        // Noise is drawn only where somebody asks for it.
+        let drawn = how.contains(&Actions::Sample);
+        let samples = drawn.then(|| decision.actions(Actions::Sample));
+        let modes = decision.actions(Actions::Mode);
         let rows = how.iter().enumerate();
-        rows.map(|(row, &how)| values(&decision.actions(how).get(row as i64)))
-            .collect()
+        rows.map(|(row, how)| {
+            let all = match (how, &samples) {
+                (Actions::Sample, Some(samples)) => samples,
+                _ => &modes,
+            };
+            values(&all.get(row as i64))
+        })
+        .collect()
     }
 
     /// The action of the only environment, and what it was made of.
@@ -71,7 +81,7 @@ impl AgentPolicy {
             attention: decision.attention.as_ref().map(values).unwrap_or_default(),
             gate: decision.gate.as_ref().map(|open| values(open)[0]),
         };
-        (values(decision.actions(actions)), insight)
+        (values(&decision.actions(actions)), insight)
     }
 
     /// Posterior latents at every step of an episode, `[T, ..]`, without a change of the memory.

@@ -77,10 +77,8 @@ pub struct Lookahead {
 /// A decision and what it was made of.
 #[derive(Debug)]
 pub struct Decision {
-    /// Actions drawn from the policy, `[M, A]`.
-    pub samples: Tensor,
-    /// The most likely ones, `[M, A]`.
-    pub modes: Tensor,
+    /// The policy's distribution of actions, `[M, A]`.
+    pub distribution: TruncatedNormal,
     /// Weights over the rollout `[M, tau]` (Eq. 13); absent where the policy does not look ahead.
     pub attention: Option<Tensor>,
     /// Openings of the dependency gate `[M, 1]` (Eq. 11); absent without a gate.
@@ -88,11 +86,11 @@ pub struct Decision {
 }
 
 impl Decision {
-    /// The actions taken as `how` says, `[M, A]`.
-    pub fn actions(&self, how: Actions) -> &Tensor {
+    /// Actions taken as `how` says, `[M, A]`; samples are drawn anew each time.
+    pub fn actions(&self, how: Actions) -> Tensor {
         match how {
-            Actions::Sample => &self.samples,
-            Actions::Mode => &self.modes,
+            Actions::Sample => self.distribution.sample(),
+            Actions::Mode => self.distribution.mode(),
         }
     }
 }
@@ -328,10 +326,12 @@ impl ActingModel {
         let policy = self.policy();
         let lookahead = policy.look_ahead(state);
         let (feat, attention) = policy.attend(state, &lookahead);
-        let distribution = policy.act(&feat);
+        let TruncatedNormal { mean, std } = policy.act(&feat);
         Decision {
-            samples: distribution.sample().to_device(Device::Cpu),
-            modes: distribution.mode().to_device(Device::Cpu),
+            distribution: TruncatedNormal {
+                mean: mean.to_device(Device::Cpu),
+                std: std.to_device(Device::Cpu),
+            },
             attention: attention.map(|weights| weights.to_device(Device::Cpu)),
             gate: lookahead.gate.map(|open| open.to_device(Device::Cpu)),
         }

@@ -5,7 +5,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use isodream_core::config::{Config, InverseInput, Source};
 use isodream_core::{EnvSpec, ImageShape};
 use isodream_model::behavior::imagine;
-use isodream_model::{ActingModel, Agent, Batch};
+use isodream_model::{ActingModel, Actions, Agent, Batch};
 use tch::{Device, Kind, Tensor};
 
 const ACTIONS: usize = 2;
@@ -107,7 +107,8 @@ fn deployed_and_imagined_policy_act_alike() {
         tch::manual_seed(5);
         let mut memory = acting.begin(count);
         let decision = acting.step(&mut memory, &images, &nothing, &first);
-        let (deployed, modes) = (decision.samples, decision.modes);
+        let deployed = decision.actions(Actions::Sample);
+        let modes = decision.actions(Actions::Mode);
 
         tch::manual_seed(5);
         let encoder = &agent.world().encoder;
@@ -135,7 +136,7 @@ fn deployed_and_imagined_policy_act_alike() {
             second.attention.is_some(),
             isodream_model::policy::attends(&config)
         );
-        let second = second.samples;
+        let second = second.actions(Actions::Sample);
         tch::manual_seed(6);
         let embed = encoder.embed(&encoder.stem.forward(&next_images), &deployed);
         let state = agent.world().rssm.observe_step(&state, &deployed, &embed);
@@ -147,8 +148,9 @@ fn deployed_and_imagined_policy_act_alike() {
         // A reset forgets both.
         tch::manual_seed(5);
         let again = acting.step(&mut memory, &images, &nothing, &first);
-        assert!(again.samples.equal(&deployed), "{set:?}: {deployed}");
-        assert!(again.modes.equal(&modes) && !modes.equal(&deployed));
+        let sample = again.actions(Actions::Sample);
+        assert!(sample.equal(&deployed), "{set:?}: {sample} {deployed}");
+        assert!(again.actions(Actions::Mode).equal(&modes) && !modes.equal(&deployed));
     }
 }
 

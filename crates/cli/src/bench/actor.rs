@@ -4,9 +4,9 @@ use std::time::Instant;
 
 use clap::Args;
 use isodream_core::{Config, EnvSpec};
-use isodream_model::ActingModel;
 use isodream_model::batch::preprocess;
 use isodream_model::laps::cpu_time;
+use isodream_model::{ActingModel, Actions};
 use isodream_rpc::{Dialer, ENVIRONMENT_PATIENCE, environment_spec};
 use serde::Serialize;
 use tch::{Device, Kind, Tensor};
@@ -71,7 +71,7 @@ fn measure(config: &Config, spec: &EnvSpec, environments: u16, steps: u32) -> Ac
         let images = preprocess(&pixels);
         executed = model
             .step(&mut state, &images, &executed, &is_first)
-            .samples;
+            .actions(Actions::Sample);
     };
     // Warm-up: libraries choose their kernels.
     for _ in 0..5 {
