@@ -97,7 +97,7 @@ fn drifting_weather_changes_pictures_only_and_follows_from_the_seed() {
 
 #[test]
 fn row_0_and_the_time_limit_follow_the_contract() {
-    let (transitions, metrics) = episode(env("highway/day").as_mut(), ScriptedDriver::KeepLane, 2);
+    let (transitions, metrics) = episode(env("highway/day").as_mut(), ScriptedDriver::KeepLane, 1);
     let first = &transitions[0];
     assert_eq!((first.reward, first.discount), (0.0, 1.0));
     assert!(!first.is_last && !first.is_terminal && first.end_reason.is_none());
@@ -109,7 +109,7 @@ fn row_0_and_the_time_limit_follow_the_contract() {
     assert!(transitions.iter().all(|t| t.image.len() == 64 * 64 * 3));
     assert_eq!(metric(&metrics, "lane_changes"), 0.0);
     assert_eq!(metric(&metrics, "collisions"), 0.0);
-    assert!(metric(&metrics, "distance_m") > 150.0);
+    assert!(metric(&metrics, "distance_m") > 200.0);
 }
 
 #[test]

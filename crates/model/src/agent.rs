@@ -43,12 +43,6 @@ struct Optimizers {
     critic: Adam,
 }
 
-impl Optimizers {
-    fn all_mut(&mut self) -> [&mut Adam; 3] {
-        [&mut self.world, &mut self.actor, &mut self.critic]
-    }
-}
-
 /// A metric of one update; reading the tensor waits for the device.
 pub type Metric = (&'static str, Tensor);
 
@@ -242,7 +236,8 @@ impl Agent {
         let total = self.config.total_updates().max(1) as f64;
         let gone = (self.updates as f64 / total).min(1.0);
         let factor = 1.0 - (1.0 - self.config.optimizer.final_share) * gone;
-        for adam in self.optimizers.all_mut() {
+        let all = &mut self.optimizers;
+        for adam in [&mut all.world, &mut all.actor, &mut all.critic] {
             adam.lr_factor = factor;
         }
     }

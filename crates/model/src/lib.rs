@@ -6,7 +6,7 @@
 //! | 3, transitions of both branches | [`rssm`] |
 //! | 4, inverse dynamics | [`world_model`] |
 //! | 5, composition of the three branches | [`decoder`] |
-//! | 6, 8-10, world-model losses | [`losses`], [`world_model`] |
+//! | 6, 8-10, world-model losses | [`losses`], [`world_model`], `variance` |
 //! | 11, 12, dependency gate | [`gate`] |
 //! | 13, future-state attention | [`attention`] |
 //! | 14, actor and critic | [`policy`], [`behavior`] |
@@ -35,6 +35,7 @@ pub mod policy;
 pub mod precision;
 pub mod reward;
 pub mod rssm;
+mod variance;
 pub mod world_model;
 
 pub use agent::Agent;

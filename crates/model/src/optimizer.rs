@@ -38,13 +38,6 @@ impl Adam {
         }
     }
 
-    /// Descends the gradient of `loss` with respect to `params`, and to nothing else the loss may depend on.
-    /// Returns the gradient's global norm before clipping. The graph is freed.
-    pub fn minimize(&mut self, loss: &Tensor, params: &Params) -> Tensor {
-        let gradients = Tensor::run_backward(&[loss], &params.tensors(), false, false);
-        self.step(params, &gradients)
-    }
-
     /// One step along `gradients`, one per parameter in their order; what no gradient reached counts as zero.
     pub fn step(&mut self, params: &Params, gradients: &[Tensor]) -> Tensor {
         let _guard = tch::no_grad_guard();

@@ -7,7 +7,7 @@ use tch::{Device, Kind, Tensor};
 
 use crate::nn::Mlp;
 use crate::params::{LoadError, Params, Scope};
-use crate::rssm::{Rssm, State, stack};
+use crate::rssm::{Rssm, State};
 
 /// Names of the reward head's parameters begin with it.
 const SCOPE: [&str; 2] = ["world_model", "reward"];
@@ -117,13 +117,8 @@ pub fn imagined_returns(rssm: &Rssm, reward: &RewardHead, plans: &Plans, samples
                 let some = x.narrow(0, first, part.min(count - first));
                 some.repeat_interleave_self_int(samples, 0, None)
             };
-            let mut state = plans.starts.map(rows);
-            let mut states = Vec::new();
-            for action in rows(&plans.actions).unbind(1) {
-                state = rssm.imagine_step(&state, &action);
-                states.push(state.map(Tensor::shallow_clone));
-            }
-            let rewards = reward.forward(&stack(&states, 1)) * rows(&plans.counted);
+            let states = rssm.imagine(&plans.starts.map(rows), &rows(&plans.actions));
+            let rewards = reward.forward(&states) * rows(&plans.counted);
             rewards
                 .sum_dim_intlist([1_i64].as_slice(), false, Kind::Float)
                 .view([-1, samples])

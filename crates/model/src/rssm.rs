@@ -347,6 +347,20 @@ impl Rssm {
         }
     }
 
+    /// The states that `actions` alone lead to: prior samples of both branches.
+    ///
+    /// # Shapes
+    /// `start: [N, ..]`, `actions: [N, K, A] -> [N, K, ..]`
+    pub fn imagine(&self, start: &State, actions: &Tensor) -> State {
+        let mut state = start.map(Tensor::shallow_clone);
+        let mut states = Vec::new();
+        for action in actions.unbind(1) {
+            state = self.imagine_step(&state, &action);
+            states.push(state.map(Tensor::shallow_clone));
+        }
+        stack(&states, 1)
+    }
+
     /// One step of the controllable branch alone.
     pub fn imagine_controllable(&self, previous: &Latent, action: &Tensor) -> Latent {
         let deter = self

@@ -1,7 +1,7 @@
 //! The decoupled world model: networks, and the loss of representation learning (Iso-Dream++ Eq. 4-10).
 
 use isodream_core::Config;
-use isodream_core::config::{InverseInput, LossConfig, ModelConfig, VarianceLoss};
+use isodream_core::config::{InverseInput, LossConfig, ModelConfig};
 use tch::{Device, Kind, Tensor};
 
 use crate::batch::Batch;
@@ -9,14 +9,13 @@ use crate::chunked::sum_of_parts;
 use crate::decoder::{Decoder, compose};
 use crate::encoder::{Embeddings, Encoder, embed_dim};
 use crate::laps::{Laps, phase};
-use crate::losses::{
-    HALF_LOG_2PI, balanced_kl, gaussian_nll, max_action_loss, min_free_loss, sample_variance,
-};
+use crate::losses::{HALF_LOG_2PI, balanced_kl, gaussian_nll};
 use crate::nn::{Mlp, to_phases};
 use crate::noise::choose;
 use crate::params::Scope;
 use crate::reward::{RewardHead, head_feat};
-use crate::rssm::{Branch, Observed, Rssm, State, stack};
+use crate::rssm::{Observed, Rssm, State};
+use crate::variance::variance_losses;
 
 /// Frames that are decoded at a time: more need more memory and are no faster.
 const DECODED_FRAMES: i64 = 64;
@@ -258,7 +257,8 @@ impl WorldModel {
             ("train/mask/noncontrollable", noncontrollable_mask),
         ];
         if weights.constrains_variance() {
-            let (max_action, min_free) = self.variance_losses(&batch.actions, observed);
+            let (max_action, min_free) =
+                variance_losses(&self.rssm, weights.variance, &batch.actions, observed);
             total += &max_action * weights.max_action_scale + &min_free * weights.min_free_scale;
             terms.push(("train/loss/max_action", max_action));
             terms.push(("train/loss/min_free", min_free));
@@ -301,14 +301,10 @@ impl WorldModel {
     fn open_loop_reward(&self, batch: &Batch, observed: &Observed) -> (Tensor, Tensor) {
         let length = batch.actions.size()[1];
         let seen = open_loop_start(length);
-        let mut state = observed.states.map(|x| x.select(1, seen - 1));
-        let mut states = Vec::new();
-        for t in seen..length {
-            state = self.rssm.imagine_step(&state, &batch.actions.select(1, t));
-            states.push(state.map(Tensor::shallow_clone));
-        }
-        let rewards = self.reward(&stack(&states, 1));
-        let target = batch.rewards.narrow(1, seen, length - seen);
+        let start = observed.states.map(|x| x.select(1, seen - 1));
+        let later = |x: &Tensor| x.narrow(1, seen, length - seen);
+        let rewards = self.reward(&self.rssm.imagine(&start, &later(&batch.actions)));
+        let target = later(&batch.rewards);
         let error = (&rewards - &target).abs().mean(Kind::Float);
         (gaussian_nll(&rewards, &target, 0), error)
     }
@@ -355,52 +351,6 @@ impl WorldModel {
         InverseErrors {
             seeing: of(&batch.images),
             blind: of(&batch.images.full_like(-0.5)),
-        }
-    }
-
-    /// The min-max variance constraints (Eq. 8, 9) under `{a, -a}` and `{a, 0, -a}`. The real transitions
-    /// are the scan's own; the hypothetical ones have no recurrence and run as one batch.
-    fn variance_losses(&self, actions: &Tensor, observed: &Observed) -> (Tensor, Tensor) {
-        let actions = actions.flatten(0, 1);
-        let opposite = actions.neg();
-        let from = observed.previous.map(|x| x.flatten(0, 1));
-        let (s, z) = (&from.controllable, &from.noncontrollable);
-        let s_action = observed.states.controllable.deter.flatten(0, 1);
-        let s_opposite = self
-            .rssm
-            .controllable
-            .transition(&s.stoch, &opposite, &s.deter);
-        let z_none = observed.states.noncontrollable.deter.flatten(0, 1);
-        let twice = |x: &Tensor| x.repeat([2, 1]);
-        let z_both = self
-            .rssm
-            .noncontrollable
-            .transition(
-                &twice(&z.stoch),
-                &Tensor::cat(&[&actions, &opposite], 0),
-                &twice(&z.deter),
-            )
-            .chunk(2, 0);
-        match self.loss.variance {
-            VarianceLoss::Deter => (
-                max_action_loss(&s_action, &s_opposite),
-                min_free_loss(&z_none, &z_both[0], &z_both[1]),
-            ),
-            VarianceLoss::Paper => {
-                let length = observed.states.controllable.deter.size()[1];
-                let sample = |branch: &Branch, deter: &Tensor| {
-                    branch.prior(deter).sample().unflatten(0, [-1, length])
-                };
-                let (s, z) = (&self.rssm.controllable, &self.rssm.noncontrollable);
-                (
-                    -sample_variance(&[sample(s, &s_action), sample(s, &s_opposite)]),
-                    sample_variance(&[
-                        sample(z, &z_both[0]),
-                        sample(z, &z_none),
-                        sample(z, &z_both[1]),
-                    ]),
-                )
-            }
         }
     }
 }

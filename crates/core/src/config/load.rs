@@ -308,6 +308,12 @@ mod tests {
             ("model.inverse=magic", "magic"),
             ("env.image_size=128", "env.image_size"),
             ("loss.kl_balance=1.5", "loss.kl_balance"),
+            ("optimizer.final_share=0", "optimizer.final_share"),
+            ("actor.greedy_share=1.5", "actor.greedy_share"),
+            (
+                "replay.tables.train.ends_share=-1",
+                "replay.tables.train.ends_share",
+            ),
             ("actor.threads=0", "actor.threads"),
             ("learner.table=new", "train"),
             ("replay.tables.new=3", "replay.tables.new"),
