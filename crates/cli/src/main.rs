@@ -33,6 +33,8 @@ mod tuning;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+#[cfg(feature = "torch")]
+use config_args::ConfigArgs;
 use isodream_telemetry::{LogFormat, Logging, init_logging};
 
 /// Model-based reinforcement learning with isolated imaginations (Iso-Dream++)
@@ -88,6 +90,16 @@ enum Command {
 }
 
 impl Command {
+    /// The configuration of a command whose own process trains.
+    #[cfg(feature = "torch")]
+    fn training(&self) -> Option<&ConfigArgs> {
+        match self {
+            Self::Learner(args) => Some(&args.role.config),
+            Self::Bench(bench::BenchCommand::Learner(args)) => Some(&args.config),
+            _ => None,
+        }
+    }
+
     /// By which a process of this command is known to those who collect traces.
     fn service(&self) -> &'static str {
         match self {
@@ -125,12 +137,9 @@ fn exit_code(error: &anyhow::Error) -> ExitCode {
 
 fn run(command: Command) -> anyhow::Result<ExitCode> {
     #[cfg(feature = "torch")]
-    if matches!(
-        command,
-        Command::Learner(_) | Command::Bench(bench::BenchCommand::Learner(_))
-    ) {
+    if let Some(Ok(config)) = command.training().map(ConfigArgs::load) {
         // Without them training is slower, but no less right.
-        let _ = tuning::ensure();
+        let _ = tuning::ensure(config.learner.workers);
     }
     let filter = match &command {
         #[cfg(feature = "torch")]

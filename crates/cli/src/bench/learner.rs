@@ -20,7 +20,7 @@ use crate::roles::DeviceArg;
 #[derive(Debug, Args)]
 pub(crate) struct LearnerBenchArgs {
     #[command(flatten)]
-    config: ConfigArgs,
+    pub(crate) config: ConfigArgs,
     /// Sequences per batch; the configuration's by default
     #[arg(long)]
     batch: Option<usize>,

@@ -15,7 +15,7 @@ use crate::security::DoorArgs;
 #[derive(Debug, Args)]
 pub(crate) struct LearnerArgs {
     #[command(flatten)]
-    role: RoleArgs,
+    pub(crate) role: RoleArgs,
     #[command(flatten)]
     door: DoorArgs,
     /// Where checkpoints and metrics go

@@ -22,7 +22,7 @@ pub(crate) use replay::{ReplayArgs, replay};
 #[derive(Debug, Args)]
 pub(crate) struct RoleArgs {
     #[command(flatten)]
-    config: ConfigArgs,
+    pub(crate) config: ConfigArgs,
     /// Stop when standard input closes, as it does when the process that started this one dies
     #[arg(long)]
     supervised: bool,
