@@ -7,13 +7,19 @@ use toml::{Table, Value};
 
 use super::{Config, TableConfig};
 
-/// Names of the presets and their settings over the defaults.
-pub const PRESETS: &[(&str, &str)] = &[
-    ("paper", include_str!("../../presets/paper.toml")),
-    ("paper-dmc", include_str!("../../presets/paper-dmc.toml")),
-    ("quick", include_str!("../../presets/quick.toml")),
-    ("debug", include_str!("../../presets/debug.toml")),
+/// Names of the presets and their settings over the defaults; later texts win.
+pub const PRESETS: &[(&str, &[&str])] = &[
+    ("paper", &[include_str!("../../presets/paper.toml")]),
+    ("paper-dmc", &[include_str!("../../presets/paper-dmc.toml")]),
+    ("quick", &[QUICK]),
+    (
+        "quick-dmc",
+        &[QUICK, include_str!("../../presets/quick-dmc.toml")],
+    ),
+    ("debug", &[include_str!("../../presets/debug.toml")]),
 ];
+
+const QUICK: &str = include_str!("../../presets/quick.toml");
 
 /// Where settings come from; later fields win.
 #[derive(Debug, Clone, Default)]
@@ -73,7 +79,7 @@ impl Config {
     pub fn load(source: &Source) -> Result<Self, ConfigError> {
         let mut merged = defaults();
         if let Some(name) = &source.preset {
-            let (_, text) = PRESETS
+            let (_, texts) = PRESETS
                 .iter()
                 .find(|(known, _)| known == name)
                 .ok_or_else(|| ConfigError::UnknownPreset {
@@ -84,7 +90,9 @@ impl Config {
                         .collect::<Vec<_>>()
                         .join(", "),
                 })?;
-            merge_text(&mut merged, text, &format!("preset {name}"))?;
+            for text in *texts {
+                merge_text(&mut merged, text, &format!("preset {name}"))?;
+            }
         }
         if let Some(path) = &source.file {
             let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
