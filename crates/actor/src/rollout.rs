@@ -40,6 +40,8 @@ pub struct Moment<'a> {
     pub classes: Option<&'a [u8]>,
     /// The ego and its neighbourhood, where the world knows them.
     pub view: Option<&'a PrivilegedView>,
+    /// Whether another moved otherwise on account of the ego ([`isodream_envs::Transition::interaction`]).
+    pub interaction: bool,
     /// What the decision that follows was made of; none of a driver, and where the episode ends.
     pub insight: Option<&'a Insight>,
 }
@@ -91,6 +93,7 @@ pub fn episode(
             step: &step,
             classes: env.segmentation().as_deref(),
             view: env.privileged().as_ref(),
+            interaction: transition.interaction,
             insight: insight.as_ref(),
         });
         if ends {
@@ -121,6 +124,8 @@ pub struct Recording {
     pub steps: Steps,
     /// Classes `[len, H, W]`; empty where the world does not know them.
     pub classes: Vec<u8>,
+    /// Whether another moved otherwise on account of the ego, at each step.
+    pub interactions: Vec<bool>,
 }
 
 /// Runs one episode and keeps all of it.
@@ -136,9 +141,11 @@ pub fn record(
     let mut recording = Recording {
         steps: Steps::new(spec.image.bytes(), spec.action_dim),
         classes: Vec::new(),
+        interactions: Vec::new(),
     };
     let outcome = episode(env, pilot, seed, &|| true, &mut |moment| {
         recording.steps.push(moment.step);
+        recording.interactions.push(moment.interaction);
         recording
             .classes
             .extend(moment.classes.into_iter().flatten());

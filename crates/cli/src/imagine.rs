@@ -1,11 +1,12 @@
 //! `isodream imagine`: open-loop prediction as pictures, and how well the branches separate in numbers.
 
+use std::ops::Range;
 use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
 use clap::Args;
 use isodream_actor::AgentPolicy;
-use isodream_actor::rollout::{Pilot, Recording, record};
+use isodream_actor::rollout::{Pilot, record};
 use isodream_core::{Steps, derive_seed};
 use isodream_envs::class;
 use isodream_learner::checkpoint::Checkpoint;
@@ -13,6 +14,7 @@ use isodream_learner::panel::Panel;
 use isodream_model::Actions;
 use isodream_model::agent::Agent;
 use isodream_model::batch::StagedSteps;
+use isodream_model::gate_evidence::{GateEvidence, gate_evidence};
 use isodream_model::open_loop::{OpenLoop, open_loop};
 use isodream_rpc::Role;
 use isodream_telemetry::{write_mp4, write_whole};
@@ -84,6 +86,8 @@ struct Report {
     reconstruction: Option<Separation>,
     /// Latents from observations for the context, then from actions alone.
     open_loop: Option<Separation>,
+    /// Whether the dependency gate opens on interactions; none without a gate.
+    gate: Option<GateEvidence>,
     /// Mean absolute pixel error of the open-loop prediction, in 1/255.
     open_loop_error: f64,
 }
@@ -108,14 +112,21 @@ pub(crate) fn run(args: &ImagineArgs) -> anyhow::Result<()> {
 
     let mut sequences = Vec::new();
     let mut classes = Vec::new();
+    let mut interactions = Vec::new();
     for index in 0..args.episodes {
         let seed = derive_seed(config.seed, &["imagine", &index.to_string()]);
         let mut pilot = Pilot::Agent(&mut driver, Actions::Sample);
         let (_, recording) = record(env.as_mut(), &mut pilot, seed)?;
-        sequences.extend(window(&recording).map(|(steps, truth)| {
-            classes.extend(truth);
-            steps
-        }));
+        if let Some(rows) = window(recording.steps.len) {
+            let all = &recording.steps;
+            let mut steps = Steps::new(all.image_bytes, all.action_dim);
+            steps.extend(all, rows.clone());
+            sequences.push(steps);
+            let pixels = recording.classes.len() / all.len;
+            classes.extend(&recording.classes[rows.start * pixels..rows.end * pixels]);
+            let happened = recording.interactions[rows].iter();
+            interactions.extend(happened.map(|&happened| f32::from(u8::from(happened))));
+        }
     }
     ensure!(
         !sequences.is_empty(),
@@ -131,6 +142,7 @@ pub(crate) fn run(args: &ImagineArgs) -> anyhow::Result<()> {
     }
     let reconstructed = open_loop(agent.world(), &batch, LENGTH as i64);
     let predicted = open_loop(agent.world(), &batch, CONTEXT);
+    let interactions = Tensor::from_slice(&interactions).view([-1, LENGTH as i64]);
     let pictures = batch.images.flatten(0, 1);
     let error = (&predicted.composition.image - &pictures)
         .abs()
@@ -143,6 +155,7 @@ pub(crate) fn run(args: &ImagineArgs) -> anyhow::Result<()> {
         open_loop: truth
             .as_ref()
             .map(|vehicle| separation(&predicted, &pictures, vehicle)),
+        gate: gate_evidence(agent.world(), &batch, &interactions),
         open_loop_error: error.double_value(&[]) * 255.0,
     };
 
@@ -157,17 +170,10 @@ pub(crate) fn run(args: &ImagineArgs) -> anyhow::Result<()> {
     print(&text)
 }
 
-/// The middle of an episode, where traffic is under way.
-fn window(recording: &Recording) -> Option<(Steps, Vec<u8>)> {
-    let all = &recording.steps;
-    let first = all.len.checked_sub(LENGTH)? / 2;
-    let mut steps = Steps::new(all.image_bytes, all.action_dim);
-    steps.extend(all, first..first + LENGTH);
-    let pixels = recording.classes.len() / all.len;
-    Some((
-        steps,
-        recording.classes[first * pixels..(first + LENGTH) * pixels].to_vec(),
-    ))
+/// The middle of an episode of `length` steps, where traffic is under way.
+fn window(length: usize) -> Option<Range<usize>> {
+    let first = length.checked_sub(LENGTH)? / 2;
+    Some(first..first + LENGTH)
 }
 
 /// 1 where a vehicle is, `[frames, 1, side, side]`; none where there is no vehicle in any frame, or no class of any pixel.

@@ -87,7 +87,8 @@ pub struct Transition {
     pub is_last: bool,
     /// Whether it ended for a reason inside the world, not for the time limit.
     pub is_terminal: bool,
-    /// Ground truth of the dependency gate: a follower had to brake because the ego took its lane.
+    /// Ground truth of the dependency gate: another vehicle moved otherwise on account of the ego, which took its lane and
+    /// made it brake, or hit it.
     pub interaction: bool,
     /// Why the episode ended.
     pub end_reason: Option<EndReason>,

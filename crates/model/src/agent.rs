@@ -357,14 +357,14 @@ fn copy_from(
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use isodream_core::ImageShape;
     use isodream_core::config::Source;
     use tch::Kind;
 
     use super::*;
 
-    pub(super) fn agent(set: &[&str]) -> (Agent, Batch) {
+    pub(crate) fn agent(set: &[&str]) -> (Agent, Batch) {
         let config = Config::load(&Source {
             preset: Some("debug".into()),
             file: None,
@@ -426,6 +426,28 @@ mod tests {
             + 23.0 * term("discount");
         let total = loss.total.double_value(&[]);
         assert!((total - sum).abs() < 1e-5 * total.abs(), "{total} {sum}");
+    }
+
+    #[test]
+    fn the_gate_opens_without_a_penalty_in_its_share_of_the_steps() {
+        let losses = |share: &str| {
+            let (agent, batch) = agent(&["loss.gate_scale=1e4", share]);
+            crate::noise::seeded(5, Device::Cpu, || {
+                let loss = agent.world().loss(&batch, &mut Laps::off());
+                let (_, open) = loss
+                    .terms
+                    .iter()
+                    .find(|(name, _)| *name == "train/loss/gate")
+                    .expect("there is a gate");
+                (loss.total.double_value(&[]), open.double_value(&[]))
+            })
+        };
+        let (all, open) = losses("loss.gate_share=0");
+        assert!(open > 0.2, "{open}");
+        let (beyond, _) = losses("loss.gate_share=0.2");
+        assert!((all - beyond - 2e3).abs() < 10.0, "{all} {beyond}");
+        let (none, _) = losses("loss.gate_share=1");
+        assert!((all - none - 1e4 * open).abs() < 10.0, "{all} {none}");
     }
 
     #[test]

@@ -37,12 +37,26 @@ impl DependencyGate {
     /// # Shapes
     /// `[N, deter]` twice `-> [N, 1]`
     pub fn open(&self, noncontrollable_deter: &Tensor, controllable_deter: &Tensor) -> Tensor {
-        let deters = Tensor::cat(&[noncontrollable_deter, controllable_deter], -1);
-        // In full precision: a threshold follows.
-        let logit = self.gate.forward_in(Kind::Float, &deters);
-        let soft = logit.sigmoid();
+        let soft = self
+            .logit(noncontrollable_deter, controllable_deter)
+            .sigmoid();
         let hard = soft.ge(0.5).to_kind(Kind::Float);
         (hard - &soft).detach() + soft
+    }
+
+    /// 1 where a logit opens the gate, else 0: [`Self::open`] without a gradient.
+    pub fn opened(logit: &Tensor) -> Tensor {
+        logit.ge(0.0).to_kind(Kind::Float)
+    }
+
+    /// `f(h', h)` of Eq. 11: above 0 where the gate is open.
+    ///
+    /// # Shapes
+    /// `[.., deter]` twice `-> [.., 1]`
+    pub fn logit(&self, noncontrollable_deter: &Tensor, controllable_deter: &Tensor) -> Tensor {
+        let deters = Tensor::cat(&[noncontrollable_deter, controllable_deter], -1);
+        // In full precision: a threshold follows.
+        self.gate.forward_in(Kind::Float, &deters)
     }
 
     /// The state that replaces `z_t` in the transition of Eq. 12: `Linear([z, w s])`.

@@ -24,6 +24,7 @@ pub mod decoder;
 pub mod distribution;
 pub mod encoder;
 pub mod gate;
+pub mod gate_evidence;
 pub mod laps;
 pub mod losses;
 pub mod nn;

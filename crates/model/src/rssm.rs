@@ -26,9 +26,14 @@ impl Gaussian {
 
     /// Both parts cut from the graph.
     pub fn detach(&self) -> Self {
+        self.map(Tensor::detach)
+    }
+
+    /// Applies `f` to both parts.
+    pub fn map(&self, f: impl Fn(&Tensor) -> Tensor) -> Self {
         Self {
-            mean: self.mean.detach(),
-            std: self.std.detach(),
+            mean: f(&self.mean),
+            std: f(&self.std),
         }
     }
 

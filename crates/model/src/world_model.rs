@@ -265,7 +265,7 @@ impl WorldModel {
         }
         if let Some(open) = &observed.gate_open {
             let gate = open.mean(Kind::Float);
-            total += &gate * weights.gate_scale;
+            total += (&gate - weights.gate_share).clamp_min(0.0) * weights.gate_scale;
             terms.push(("train/loss/gate", gate));
         }
         if weights.open_loop_scale > 0.0 {

@@ -82,6 +82,7 @@ impl Config {
             ("loss.kl_balance", self.loss.kl_balance),
             ("actor.explore_share", self.actor.explore_share),
             ("actor.greedy_share", self.actor.greedy_share),
+            ("loss.gate_share", self.loss.gate_share),
             ("optimizer.final_share", self.optimizer.final_share),
             ("loss.decoded_share", self.loss.decoded_share),
             (

@@ -316,6 +316,7 @@ mod tests {
             ("model.inverse=magic", "magic"),
             ("env.image_size=128", "env.image_size"),
             ("loss.kl_balance=1.5", "loss.kl_balance"),
+            ("loss.gate_share=2", "loss.gate_share"),
             ("optimizer.final_share=0", "optimizer.final_share"),
             ("actor.greedy_share=1.5", "actor.greedy_share"),
             (

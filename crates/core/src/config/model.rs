@@ -165,6 +165,9 @@ pub struct LossConfig {
     pub min_free_scale: f64,
     /// Weight of the mean gate opening, the authors' sparsity penalty.
     pub gate_scale: f64,
+    /// Share of the steps in which the gate may be open without a penalty, so that it opens where this brings most.
+    /// With the authors' 0 every opening costs, and the gate is soon shut or open everywhere.
+    pub gate_share: f64,
     /// Share of a sequence that the controllable branch reconstructs from posterior samples; the rest from
     /// prior samples. 0.5 for driving, 1 for DeepMind Control.
     pub controllable_posterior_share: f64,
@@ -199,6 +202,7 @@ impl Default for LossConfig {
             max_action_scale: 1.0,
             min_free_scale: 1.0,
             gate_scale: 1.0,
+            gate_share: 0.0,
             controllable_posterior_share: 0.5,
             noncontrollable_posterior_share: 1.0,
             decoded_share: 1.0,

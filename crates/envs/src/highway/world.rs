@@ -123,7 +123,7 @@ impl World {
         );
         Frame {
             reward,
-            interaction,
+            interaction: interaction || impulses.vehicles > 0.0,
             end: self.end(),
         }
     }
@@ -207,26 +207,26 @@ mod tests {
 
     const LOOP: Scene = Scene::new(Map::Loop, Light::Day);
 
+    /// The ego in lane 1 at a speed, and one car in `lane`, some metres ahead of it, at its own speed.
+    fn with_one_car(ego_m_s: f64, lane: usize, ahead_m: f64, car_m_s: f64) -> World {
+        let mut world = World::new(LOOP, 1, 1);
+        let (s, d) = (300.0, lane_center(1));
+        world.ego = Ego::at_rest(world.road, Frenet { s, d });
+        world.ego.speed = ego_m_s;
+        let car = &mut world.traffic.cars[0];
+        car.lane = lane;
+        car.at = Frenet {
+            s: s + ahead_m,
+            d: lane_center(lane),
+        };
+        car.speed = car_m_s;
+        world
+    }
+
     #[test]
     fn cutting_in_makes_an_interaction_and_slows_the_follower() {
-        let mut world = World::new(LOOP, 1, 1);
-        let road = world.road;
-        world.ego = Ego::at_rest(
-            road,
-            Frenet {
-                s: 300.0,
-                d: lane_center(1),
-            },
-        );
-        world.ego.speed = 10.0;
-        let follower = &mut world.traffic.cars[0];
-        follower.lane = 2;
-        follower.at = Frenet {
-            s: 284.0,
-            d: lane_center(2),
-        };
-        follower.speed = 13.0;
-        follower.temper.desired_m_s = 13.0;
+        let mut world = with_one_car(10.0, 2, -16.0, 13.0);
+        world.traffic.cars[0].temper.desired_m_s = 13.0;
         let mut speeds = Vec::new();
         let mut cut_in_at = None;
         let mut interaction_at = None;
@@ -251,6 +251,20 @@ mod tests {
             "{} to {within_a_second}",
             speeds[cut_in]
         );
+    }
+
+    #[test]
+    fn hitting_a_car_is_an_interaction() {
+        let mut world = with_one_car(15.0, 1, 10.0, 2.0);
+        for _ in 0..40 {
+            let frame = world.step(0.0, 0.5);
+            let hit = world.metrics.named().contains(&("collisions", 1.0));
+            assert_eq!(frame.interaction, hit, "so far nobody has touched another");
+            if hit {
+                return;
+            }
+        }
+        panic!("the ego never reached the car");
     }
 
     #[test]
