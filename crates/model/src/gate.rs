@@ -44,11 +44,6 @@ impl DependencyGate {
         (hard - &soft).detach() + soft
     }
 
-    /// 1 where a logit opens the gate, else 0: [`Self::open`] without a gradient.
-    pub fn opened(logit: &Tensor) -> Tensor {
-        logit.ge(0.0).to_kind(Kind::Float)
-    }
-
     /// `f(h', h)` of Eq. 11: above 0 where the gate is open.
     ///
     /// # Shapes

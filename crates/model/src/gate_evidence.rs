@@ -5,7 +5,6 @@ use serde::Serialize;
 use tch::{Kind, Tensor};
 
 use crate::batch::Batch;
-use crate::gate::DependencyGate;
 use crate::losses::kl_divergence;
 use crate::world_model::WorldModel;
 
@@ -63,7 +62,7 @@ pub fn gate_evidence(
             .mean(Kind::Double)
             .double_value(&[])
     };
-    let open = DependencyGate::opened(&logit);
+    let open = gate.open(&z.deter, &s.deter);
     let any = happened.any().int64_value(&[]) != 0;
     Some(GateEvidence {
         interaction_share: share(&happened),

@@ -165,8 +165,7 @@ pub struct LossConfig {
     pub min_free_scale: f64,
     /// Weight of the mean gate opening, the authors' sparsity penalty.
     pub gate_scale: f64,
-    /// Share of the steps in which the gate may be open without a penalty, so that it opens where this brings most.
-    /// With the authors' 0 every opening costs, and the gate is soon shut or open everywhere.
+    /// Share of the steps in which the gate may be open without a penalty; with the authors' 0 every opening costs.
     pub gate_share: f64,
     /// Share of a sequence that the controllable branch reconstructs from posterior samples; the rest from
     /// prior samples. 0.5 for driving, 1 for DeepMind Control.
