@@ -49,7 +49,8 @@ pub use backgrounds::{
 pub use conform::{conform, conformed_spec};
 pub use driver::{
     BEST_BLIND_PEDAL, BLIND_PEDALS, BlindDriver, Driver, ForeseeingDriver, KeepLaneDriver,
-    RandomDriver, ReactingDriver, Score, ScriptedDriver, StandStillDriver, WanderDriver, score,
+    RandomDriver, ReactingDriver, SHOULDER_D_M, Score, ScriptedDriver, StandStillDriver,
+    WanderDriver, score,
 };
 pub use environment::{
     EndReason, Environment, NearbyVehicle, Outlook, PrivilegedView, Simulator, Transition, class,

@@ -283,6 +283,20 @@ fn pushing_harder_never_pays() {
     assert!(pushing < best - 5.0 && flooring < pushing);
 }
 
+/// With a shoulder as wide as a car, nobody who drives there would need to look.
+#[test]
+fn the_shoulder_passes_nobody() {
+    let mut env = make_without_pictures(&EnvConfig::default()).unwrap();
+    let mut earned =
+        |driver: &dyn Fn(u64) -> Box<dyn Driver>| score(env.as_mut(), 16, driver).unwrap().mean();
+    let lane = earned(&|_| Box::new(BlindDriver::new(BEST_BLIND_PEDAL)));
+    for pedal in [0.07, 0.15, 0.3, 0.6, 1.0] {
+        let shoulder = earned(&|_| Box::new(BlindDriver::on_the_shoulder(pedal)));
+        println!("{pedal}: {shoulder:.1}, in the lane {lane:.1} at best");
+        assert!(shoulder < lane);
+    }
+}
+
 #[test]
 fn a_simulator_has_the_future_of_its_environment() {
     let mut env = env("highway/day");

@@ -4,7 +4,7 @@ use isodream_core::Config;
 use isodream_core::config::BehaviorConfig;
 use tch::{Kind, Tensor};
 
-use crate::distribution::saturation;
+use crate::distribution::{TruncatedNormal, saturation};
 use crate::losses::HALF_LOG_2PI;
 use crate::nn::Mlp;
 use crate::noise::choose;
@@ -74,10 +74,15 @@ pub fn imagine(
         let feat = policy.feat(&state, &lookahead);
         let next = (t + 1 < horizon).then(|| {
             let raw = policy.actor.raw(&feat.detach());
+            let raw = if t == 0 {
+                counted(raw, config.start_weight)
+            } else {
+                raw
+            };
             saturations.push(saturation(&raw, config.mean_limit));
             let distribution = policy.actor.distribution(&raw);
             entropies.push(distribution.entropy());
-            let action = distribution.sample();
+            let action = greedy_in_part(&distribution, config.greedy_share);
             actions.push(action.shallow_clone());
             match lookahead.next_deter {
                 Some(deter) => world.rssm.imagine_step_to(&state, &action, deter),
@@ -110,6 +115,26 @@ pub fn imagine(
         entropies: Tensor::stack(&entropies, 0),
         saturations: Tensor::stack(&saturations, 0),
     }
+}
+
+/// Actions of which the first `share` are the most likely ones, and the others drawn: `[N, A]`.
+fn greedy_in_part(distribution: &TruncatedNormal, share: f64) -> Tensor {
+    let drawn = distribution.sample();
+    let rows = drawn.size()[0];
+    let greedy = (rows as f64 * share).round() as i64;
+    if greedy == 0 {
+        return drawn;
+    }
+    let modes = distribution.mode().narrow(0, 0, greedy);
+    Tensor::cat(&[modes, drawn.narrow(0, greedy, rows - greedy)], 0)
+}
+
+/// `x` whose gradient counts `times`.
+fn counted(x: Tensor, times: f64) -> Tensor {
+    if times == 1.0 {
+        return x;
+    }
+    &x * times + x.detach() * (1.0 - times)
 }
 
 /// The lambda-return of state-aligned rewards: `G_t = r_t + d_t ((1 - lambda) v_{t+1} + lambda G_{t+1})` with
@@ -185,6 +210,21 @@ pub fn starts(states: &State, config: &Config) -> State {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_share_of_the_actions_is_the_mode() {
+        let mean = Tensor::from_slice(&[0.1_f32, 0.2, 0.3, 0.4]).view([4, 1]);
+        let distribution = TruncatedNormal {
+            std: mean.full_like(0.5),
+            mean,
+        };
+        for (share, greedy) in [(0.0, 0), (0.5, 2), (1.0, 4)] {
+            let actions = greedy_in_part(&distribution, share);
+            let is_mode = actions.eq_tensor(&distribution.mode());
+            let wanted: Vec<bool> = (0..4).map(|row| row < greedy).collect();
+            assert_eq!(Vec::<bool>::try_from(is_mode.view([-1])).unwrap(), wanted);
+        }
+    }
 
     #[test]
     fn the_range_of_returns_leaves_outliers_out() {

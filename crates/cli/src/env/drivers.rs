@@ -64,12 +64,14 @@ struct Facts {
     impulse_ns: f64,
 }
 
-/// What holding one pedal earns.
+/// What holding one pedal earns, in the lane that the episode starts in and elsewhere.
 #[derive(Debug, Clone, Copy, Serialize)]
 struct Pedal {
     pedal: f32,
     return_mean: f64,
     return_std: f64,
+    /// Next to the right barrier in place of the lane that the episode starts in.
+    shoulder_return_mean: f64,
 }
 
 /// Runs the command.
@@ -133,15 +135,20 @@ fn rank(id: &str, episodes: u64) -> anyhow::Result<Ranking> {
     let mut pedals = Vec::new();
     let mut best: Option<(f32, Facts)> = None;
     for pedal in BLIND_PEDALS {
-        let blind = |_| Box::new(BlindDriver::new(pedal)) as _;
-        let facts = Facts::new(&score(env.as_mut(), episodes, &blind)?);
+        let lane = |_| Box::new(BlindDriver::new(pedal)) as _;
+        let shoulder = |_| Box::new(BlindDriver::on_the_shoulder(pedal)) as _;
+        let lane = Facts::new(&score(env.as_mut(), episodes, &lane)?);
+        let shoulder = Facts::new(&score(env.as_mut(), episodes, &shoulder)?);
         pedals.push(Pedal {
             pedal,
-            return_mean: facts.return_mean,
-            return_std: facts.return_std,
+            return_mean: lane.return_mean,
+            return_std: lane.return_std,
+            shoulder_return_mean: shoulder.return_mean,
         });
-        if (best.as_ref()).is_none_or(|(_, best)| facts.return_mean > best.return_mean) {
-            best = Some((pedal, facts));
+        for facts in [lane, shoulder] {
+            if (best.as_ref()).is_none_or(|(_, best)| facts.return_mean > best.return_mean) {
+                best = Some((pedal, facts));
+            }
         }
     }
     let mut best_blind_pedal = f32::NAN;
@@ -220,6 +227,10 @@ impl Ranking {
         );
         for it in &self.pedals {
             let _ = write!(text, " {}: {:.1}", it.pedal, it.return_mean);
+        }
+        text += "\nthe same on the shoulder:";
+        for it in &self.pedals {
+            let _ = write!(text, " {}: {:.1}", it.pedal, it.shoulder_return_mean);
         }
         text
     }

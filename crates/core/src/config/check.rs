@@ -55,6 +55,7 @@ impl Config {
                 self.behavior.slow_critic_interval as f64,
             ),
             ("behavior.start_share", self.behavior.start_share),
+            ("behavior.start_weight", self.behavior.start_weight),
             ("replay.chunk_steps", self.replay.chunk_steps as f64),
             ("replay.segment_bytes", self.replay.segment_bytes as f64),
             ("actor.environments", self.actor.environments as f64),
@@ -89,6 +90,7 @@ impl Config {
                 "behavior.slow_critic_fraction",
                 self.behavior.slow_critic_fraction,
             ),
+            ("behavior.greedy_share", self.behavior.greedy_share),
             ("behavior.discount", self.behavior.discount),
             ("behavior.lambda", self.behavior.lambda),
         ];

@@ -313,6 +313,8 @@ mod tests {
             ("learner.batch_size=\"many\"", "learner.batch_size"),
             ("learner.batch_length=5", "learner.batch_length"),
             ("behavior.start_share=1.5", "behavior.start_share"),
+            ("behavior.start_weight=0", "behavior.start_weight"),
+            ("behavior.greedy_share=1.1", "behavior.greedy_share"),
             ("model.inverse=magic", "magic"),
             ("env.image_size=128", "env.image_size"),
             ("loss.kl_balance=1.5", "loss.kl_balance"),

@@ -36,6 +36,12 @@ pub struct BehaviorConfig {
     pub value_gradient: bool,
     /// Share of the replayed states from which imagination starts, in (0, 1].
     pub start_share: f64,
+    /// How many times the actor's gradient counts in the states from which imagination starts. These alone are observed, as
+    /// the deployed policy's states are; all others are imagined. The paper's 1 counts all alike.
+    pub start_weight: f64,
+    /// Share of the imagined trajectories that take the most likely actions, as the evaluated policy does, from 0 to 1. The
+    /// others draw theirs, as all do with the paper's 0.
+    pub greedy_share: f64,
     /// Updates of the world model before actor and critic begin to learn. The paper's 0 lets the actor chase
     /// the rewards of an untrained model, which short runs do not recover from.
     pub warmup_updates: u64,
@@ -56,6 +62,8 @@ impl Default for BehaviorConfig {
             slow_critic_fraction: 1.0,
             value_gradient: true,
             start_share: 1.0,
+            start_weight: 1.0,
+            greedy_share: 0.0,
             warmup_updates: 0,
         }
     }

@@ -15,6 +15,7 @@ pub use self::reacting::ReactingDriver;
 pub use self::score::{Score, score};
 pub use self::simple::{BlindDriver, KeepLaneDriver, RandomDriver, StandStillDriver};
 pub use self::wander::WanderDriver;
+use crate::highway::{BARRIER_D, EGO_WIDTH};
 use crate::{EnvError, Environment};
 
 /// The pedal that earns most on the highway if it is held for a whole episode.
@@ -24,6 +25,9 @@ pub const BEST_BLIND_PEDAL: f32 = 0.07;
 pub const BLIND_PEDALS: [f32; 16] = [
     -0.5, 0.0, 0.04, 0.06, 0.07, 0.08, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0,
 ];
+
+/// Lateral position next to the right barrier of the highway, a hand's breadth away from it.
+pub const SHOULDER_D_M: f64 = EGO_WIDTH / 2.0 + 0.1 - BARRIER_D;
 
 /// Chooses actions by looking at the world itself, not at its image.
 pub trait Driver: Send {

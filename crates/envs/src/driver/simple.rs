@@ -4,8 +4,8 @@ use isodream_core::derive_seed;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::Driver;
 use super::controls::{Following, drive, steer, view};
+use super::{Driver, SHOULDER_D_M};
 use crate::{EnvError, Environment};
 
 /// Draws each component uniformly from `[-1, 1]`.
@@ -45,26 +45,33 @@ impl Driver for KeepLaneDriver {
     }
 }
 
-/// Keeps the lane it starts in and holds the pedal, whoever is in the way.
+/// Holds a lateral position and the pedal, whoever is in the way.
 #[derive(Debug, Clone)]
 pub struct BlindDriver {
     pedal: f32,
-    lane: Option<usize>,
+    d_m: Option<f64>,
 }
 
 impl BlindDriver {
-    /// Holds `pedal`: 1 is full throttle, -1 the full brake.
+    /// Keeps the lane it starts in and holds `pedal`: 1 is full throttle, -1 the full brake.
     pub fn new(pedal: f32) -> Self {
-        Self { pedal, lane: None }
+        Self { pedal, d_m: None }
+    }
+
+    /// Goes to [`SHOULDER_D_M`] and holds `pedal`.
+    pub fn on_the_shoulder(pedal: f32) -> Self {
+        Self {
+            pedal,
+            d_m: Some(SHOULDER_D_M),
+        }
     }
 }
 
 impl Driver for BlindDriver {
     fn act(&mut self, env: &dyn Environment) -> Result<Vec<f32>, EnvError> {
         let view = view(env)?;
-        let lane = *self.lane.get_or_insert(view.lane);
-        let steer = steer(&view, view.lane_center_m(lane)) as f32;
-        Ok(vec![steer, self.pedal])
+        let d_m = *(self.d_m).get_or_insert_with(|| view.lane_center_m(view.lane));
+        Ok(vec![steer(&view, d_m) as f32, self.pedal])
     }
 }
 

@@ -26,6 +26,7 @@ use isodream_core::EnvSpec;
 use isodream_core::config::{EnvConfig, RepeatReward};
 
 pub(crate) use self::car::{Build, Car};
+pub(crate) use self::ego::WIDTH as EGO_WIDTH;
 #[cfg(test)]
 pub(crate) use self::maps::Map;
 #[cfg(test)]

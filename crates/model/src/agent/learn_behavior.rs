@@ -160,6 +160,27 @@ mod tests {
     }
 
     #[test]
+    fn the_actors_gradient_counts_more_where_imagination_starts() {
+        let gradients = |weight: &str| {
+            // Two states: the only action is that of the start.
+            let (agent, batch) = agent(&["behavior.imagination_horizon=2", weight]);
+            let networks = &agent.share.networks;
+            let states = agent.world().loss(&batch, &mut Laps::off()).states;
+            seeded(5, Device::Cpu, || {
+                networks.behavior_gradients(&states, None, 1.0, &mut Laps::off())
+            })
+            .gradients
+        };
+        let [once, thrice] = ["behavior.start_weight=1", "behavior.start_weight=3"].map(gradients);
+        for (group, times) in [3.0, 1.0].into_iter().enumerate() {
+            for (a, b) in once[group].iter().zip(&thrice[group]) {
+                assert_eq!(a.defined(), b.defined());
+                assert!(!a.defined() || (a * times).allclose(b, 1e-3, 1e-7, false));
+            }
+        }
+    }
+
+    #[test]
     fn starts_after_others_have_the_gradients_of_all() {
         let (agent, batch) = agent(&[]);
         let networks = &agent.share.networks;
