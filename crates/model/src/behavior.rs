@@ -194,22 +194,163 @@ pub fn critic_loss(values: &Tensor, returns: &Tensor, weights: &Tensor) -> Tenso
     (weights * nll).mean(Kind::Float)
 }
 
-/// Rows of `states` (`[B, T, ..]`) from which imagination starts: all, or a random share of them.
-pub fn starts(states: &State, config: &Config) -> State {
-    let flat = states.map(|x| x.flatten(0, 1));
-    let share = config.behavior.start_share;
-    if share >= 1.0 {
-        return flat;
+/// Replayed sequences: posterior states `[B, T, ..]`, and what was had there, `[B, T]`.
+#[derive(Debug)]
+pub struct Replayed {
+    /// Detached.
+    pub states: State,
+    /// The reward that came with each state.
+    pub rewards: Tensor,
+    /// 0 where the episode terminates, else 1.
+    pub discounts: Tensor,
+}
+
+/// Where imagination starts: `[N, ..]`, or the steps of whole sequences, one sequence after the other.
+#[derive(Debug)]
+pub struct Starts {
+    /// Detached.
+    pub states: State,
+    /// What was really had in these sequences, `[N / T, T]`; none where the states are not in order.
+    pub had: Option<(Tensor, Tensor)>,
+}
+
+impl Starts {
+    /// How many.
+    pub fn rows(&self) -> i64 {
+        self.states.controllable.stoch.size()[0]
     }
-    let rows = flat.controllable.stoch.size()[0];
-    let kept = ((rows as f64 * share).ceil() as i64).max(1);
-    let chosen = choose(rows, kept, flat.controllable.stoch.device());
-    flat.map(|x| x.index_select(0, &chosen))
+
+    /// Parts of at most `rows` starts, or of one sequence, in their order.
+    pub fn parts(&self, rows: i64) -> Vec<Self> {
+        let length = self
+            .had
+            .as_ref()
+            .map_or(1, |(rewards, _)| rewards.size()[1]);
+        let sequences = self.rows() / length;
+        let most = (rows / length).max(1);
+        let mut parts = Vec::new();
+        let mut first = 0;
+        while first < sequences {
+            let count = most.min(sequences - first);
+            let of = |x: &Tensor| x.narrow(0, first, count);
+            parts.push(Self {
+                states: (self.states).map(|x| x.narrow(0, first * length, count * length)),
+                had: (self.had.as_ref()).map(|(rewards, discounts)| (of(rewards), of(discounts))),
+            });
+            first += count;
+        }
+        parts
+    }
+}
+
+/// Where imagination starts: everywhere, or in a random share of the states, or of the sequences where the critic learns
+/// from these as well.
+pub fn starts(replayed: &Replayed, config: &Config) -> Starts {
+    let Replayed {
+        states,
+        rewards,
+        discounts,
+    } = replayed;
+    let behavior = &config.behavior;
+    let device = rewards.device();
+    let some = |rows: i64| {
+        let kept = (rows as f64 * behavior.start_share).ceil() as i64;
+        choose(rows, kept.max(1), device)
+    };
+    if behavior.replay_value_scale > 0.0 {
+        let chosen = some(rewards.size()[0]);
+        let of = |x: &Tensor| x.index_select(0, &chosen);
+        return Starts {
+            states: states.map(|x| of(x).flatten(0, 1)),
+            had: Some((of(rewards), of(discounts))),
+        };
+    }
+    let flat = states.map(|x| x.flatten(0, 1));
+    if behavior.start_share >= 1.0 {
+        return Starts {
+            states: flat,
+            had: None,
+        };
+    }
+    let chosen = some(flat.controllable.stoch.size()[0]);
+    Starts {
+        states: flat.map(|x| x.index_select(0, &chosen)),
+        had: None,
+    }
+}
+
+/// Lambda-returns of what was really had in replayed sequences, each ending in imagined returns: `[T - 1, M]`.
+///
+/// # Shapes
+/// `imagined: [M T]`, the returns from the steps of `M` sequences; `had: [M, T]` twice
+pub fn replayed_returns(
+    imagined: &Tensor,
+    (rewards, discounts): &(Tensor, Tensor),
+    config: &BehaviorConfig,
+) -> Tensor {
+    let imagined = imagined.view_as(rewards).transpose(0, 1);
+    lambda_return(
+        &rewards.transpose(0, 1),
+        &imagined,
+        &(discounts.transpose(0, 1) * config.discount),
+        config.lambda,
+    )
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn replayed_returns_are_of_real_rewards_and_end_in_imagined_ones() {
+        let config = BehaviorConfig {
+            discount: 0.5,
+            lambda: 0.8,
+            ..BehaviorConfig::default()
+        };
+        // Two sequences of three steps; the second ends for good after its second step.
+        let rewards = Tensor::from_slice(&[1.0_f32, 2.0, 3.0, 4.0, 5.0, 6.0]).view([2, 3]);
+        let discounts = Tensor::from_slice(&[1.0_f32, 1.0, 1.0, 1.0, 0.0, 1.0]).view([2, 3]);
+        let imagined = Tensor::from_slice(&[10.0_f32, 20.0, 30.0, 40.0, 50.0, 60.0]);
+        let returns = replayed_returns(&imagined, &(rewards, discounts), &config);
+        // r_1 + 0.5 * 30 and r_0 + 0.5 * (0.2 * 20 + 0.8 * 17); then 5 and 4 + 0.5 * (0.2 * 50 + 0.8 * 5).
+        let wanted = Tensor::from_slice(&[9.8_f32, 11.0, 17.0, 5.0]).view([2, 2]);
+        assert!(returns.allclose(&wanted, 1e-5, 1e-5, false), "{returns}");
+    }
+
+    #[test]
+    fn starts_are_whole_sequences_where_the_critic_learns_from_them() {
+        let mut config = Config::default();
+        config.behavior.start_share = 0.5;
+        let numbers = |width: i64| {
+            let rows = Tensor::arange(24, (Kind::Float, tch::Device::Cpu)).view([4, 6, 1]);
+            rows.expand([4, 6, width], false).contiguous()
+        };
+        let latent = || crate::rssm::Latent {
+            stoch: numbers(2),
+            deter: numbers(3),
+        };
+        let replayed = Replayed {
+            states: State {
+                controllable: latent(),
+                noncontrollable: latent(),
+            },
+            rewards: numbers(1).squeeze_dim(-1),
+            discounts: numbers(1).squeeze_dim(-1),
+        };
+        assert!(starts(&replayed, &config).had.is_none());
+        config.behavior.replay_value_scale = 0.3;
+        let starts = starts(&replayed, &config);
+        assert_eq!(starts.rows(), 12);
+        let [whole, halves] = [12, 7].map(|rows| starts.parts(rows));
+        assert_eq!([whole.len(), halves.len()], [1, 2]);
+        for part in whole.into_iter().chain(halves) {
+            let (rewards, _) = part.had.expect("what was had");
+            let first = part.states.controllable.stoch.select(1, 0);
+            assert_eq!(first, rewards.flatten(0, 1));
+            assert_eq!(rewards.size()[1], 6);
+        }
+    }
 
     #[test]
     fn a_share_of_the_actions_is_the_mode() {

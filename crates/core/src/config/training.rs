@@ -42,6 +42,10 @@ pub struct BehaviorConfig {
     /// Share of the imagined trajectories that take the most likely actions, as the evaluated policy does, from 0 to 1. The
     /// others draw theirs, as all do with the paper's 0.
     pub greedy_share: f64,
+    /// Weight of the critic's loss on replayed sequences, as in DreamerV3: lambda-returns of the rewards that were really had,
+    /// which end in imagined returns. Imagination then starts from whole sequences. With the paper's 0 the critic knows
+    /// imagined rewards alone, and believes what the model is wrong about.
+    pub replay_value_scale: f64,
     /// Updates of the world model before actor and critic begin to learn. The paper's 0 lets the actor chase
     /// the rewards of an untrained model, which short runs do not recover from.
     pub warmup_updates: u64,
@@ -64,6 +68,7 @@ impl Default for BehaviorConfig {
             start_share: 1.0,
             start_weight: 1.0,
             greedy_share: 0.0,
+            replay_value_scale: 0.0,
             warmup_updates: 0,
         }
     }

@@ -6,12 +6,12 @@ use super::Metric;
 use super::networks::Networks;
 use super::share::{Answer, add_metrics};
 use crate::behavior::{
-    actor_loss, critic_loss, imagine, lambda_return, return_range, starts, step_weights,
+    Replayed, Starts, actor_loss, critic_loss, imagine, lambda_return, replayed_returns,
+    return_range, starts, step_weights,
 };
 use crate::chunked::add_gradients;
 use crate::laps::{Laps, phase};
 use crate::params::Params;
-use crate::rssm::State;
 
 /// Starts from which is imagined at a time: more need more memory and are no faster.
 const IMAGINED_STARTS: i64 = 512;
@@ -24,16 +24,16 @@ struct BehaviorLosses {
 }
 
 impl Networks {
-    /// Gradients of `weight` times the actor's and the critic's loss from posterior states `[B, T, ..]`, returns divided
-    /// by `return_scale`.
+    /// Gradients of `weight` times the actor's and the critic's loss from replayed sequences, returns divided by
+    /// `return_scale`.
     pub(super) fn behavior_gradients(
         &self,
-        states: &State,
+        replayed: &Replayed,
         return_scale: Option<&Tensor>,
         weight: f64,
         laps: &mut Laps,
     ) -> Answer {
-        let starts = starts(states, &self.config);
+        let starts = starts(replayed, &self.config);
         self.gradients_in_parts(&starts, return_scale, weight, IMAGINED_STARTS, laps)
     }
 
@@ -41,19 +41,15 @@ impl Networks {
     /// their trajectories would be most of the memory.
     fn gradients_in_parts(
         &self,
-        starts: &State,
+        starts: &Starts,
         return_scale: Option<&Tensor>,
         weight: f64,
         rows: i64,
         laps: &mut Laps,
     ) -> Answer {
-        let total = starts.controllable.stoch.size()[0];
         let (mut actor, mut critic, mut metrics) = (Vec::new(), Vec::new(), Vec::new());
-        let mut first = 0;
-        while first < total {
-            let count = rows.min(total - first);
-            let share = weight * count as f64 / total as f64;
-            let part = starts.map(|x| x.narrow(0, first, count));
+        for part in starts.parts(rows) {
+            let share = weight * part.rows() as f64 / starts.rows() as f64;
             let losses = self.behavior_losses(part, return_scale, laps);
             let gradients = |loss: &Tensor, params: &Params, keep_graph: bool| {
                 Tensor::run_backward(&[loss * share], &params.tensors(), keep_graph, false)
@@ -65,7 +61,6 @@ impl Networks {
             add_gradients(&mut critic, of_critic);
             laps.lap(phase::CRITIC_BACKWARD);
             add_metrics(&mut metrics, losses.metrics, share);
-            first += count;
         }
         Answer {
             gradients: vec![actor, critic],
@@ -76,12 +71,12 @@ impl Networks {
     /// Imagines from `starts`, and both losses of it.
     fn behavior_losses(
         &self,
-        starts: State,
+        starts: Starts,
         return_scale: Option<&Tensor>,
         laps: &mut Laps,
     ) -> BehaviorLosses {
         let config = &self.config.behavior;
-        let imagined = imagine(&self.world, &self.policy(), starts, config);
+        let imagined = imagine(&self.world, &self.policy(), starts.states, config);
         laps.lap(phase::IMAGINE);
         let value_feats = if config.value_gradient {
             imagined.feats.shallow_clone()
@@ -108,8 +103,18 @@ impl Networks {
         // Its loss reaches the critic and, through `e_t`, the attention; only their gradients are asked for.
         let steps = config.imagination_horizon - 1;
         let values = self.critic.forward(&imagined.feats.narrow(0, 0, steps));
-        let critic = critic_loss(&values, &returns, &weights);
-        let metrics = vec![
+        let mut critic = critic_loss(&values, &returns, &weights);
+        let mut metrics = Vec::new();
+        if let Some(had) = &starts.had {
+            let returns = replayed_returns(&returns.get(0), had, config);
+            let values =
+                (values.get(0).view_as(&had.0).transpose(0, 1)).narrow(0, 0, returns.size()[0]);
+            let replay = critic_loss(&values, &returns, &returns.ones_like());
+            critic += &replay * config.replay_value_scale;
+            metrics.push(("train/replayed_return", returns.mean(Kind::Float)));
+            metrics.push(("train/loss/replay_value", replay));
+        }
+        metrics.extend([
             ("train/imagined_reward", imagined.rewards.mean(Kind::Float)),
             ("train/imagined_return", returns.mean(Kind::Float)),
             ("train/return_range", range),
@@ -125,7 +130,7 @@ impl Networks {
             ),
             ("train/loss/actor", actor.shallow_clone()),
             ("train/loss/critic", critic.shallow_clone()),
-        ];
+        ]);
         laps.lap(phase::VALUES);
         BehaviorLosses {
             actor,
@@ -139,9 +144,19 @@ impl Networks {
 mod tests {
     use tch::Device;
 
+    use super::super::Agent;
     use super::super::tests::agent;
     use super::*;
+    use crate::batch::Batch;
     use crate::noise::seeded;
+
+    fn replayed(agent: &Agent, batch: &Batch) -> Replayed {
+        Replayed {
+            states: agent.world().loss(batch, &mut Laps::off()).states,
+            rewards: batch.rewards.shallow_clone(),
+            discounts: batch.discounts.shallow_clone(),
+        }
+    }
 
     /// Sum of the norms of a loss's gradients with respect to the parameters under `prefix`.
     fn reach(loss: &Tensor, params: &Params, prefix: &str) -> f64 {
@@ -165,9 +180,9 @@ mod tests {
             // Two states: the only action is that of the start.
             let (agent, batch) = agent(&["behavior.imagination_horizon=2", weight]);
             let networks = &agent.share.networks;
-            let states = agent.world().loss(&batch, &mut Laps::off()).states;
+            let replayed = replayed(&agent, &batch);
             seeded(5, Device::Cpu, || {
-                networks.behavior_gradients(&states, None, 1.0, &mut Laps::off())
+                networks.behavior_gradients(&replayed, None, 1.0, &mut Laps::off())
             })
             .gradients
         };
@@ -184,18 +199,18 @@ mod tests {
     fn starts_after_others_have_the_gradients_of_all() {
         let (agent, batch) = agent(&[]);
         let networks = &agent.share.networks;
-        let states = agent.world().loss(&batch, &mut Laps::off()).states;
-        let starts = starts(&states, &agent.config);
-        assert_eq!(starts.controllable.stoch.size()[0], 16);
+        let starts = starts(&replayed(&agent, &batch), &agent.config);
+        assert_eq!(starts.rows(), 16);
         let scale = Some(Tensor::from(2.0_f32));
-        let gradients = |starts: &State, rows: i64| {
+        let gradients = |starts: &Starts, rows: i64| {
             networks.gradients_in_parts(starts, scale.as_ref(), 1.0, rows, &mut Laps::off())
         };
         let parts = seeded(5, Device::Cpu, || gradients(&starts, 12));
         // The same noise again: of both parts by themselves, weighted by their starts.
+        let both: [Starts; 2] = starts.parts(12).try_into().expect("two parts");
+        assert_eq!([12, 4], both.each_ref().map(Starts::rows));
         let [many, few] = seeded(5, Device::Cpu, || {
-            [(0, 12), (12, 4)]
-                .map(|(first, count)| gradients(&starts.map(|x| x.narrow(0, first, count)), count))
+            both.map(|part| gradients(&part, part.rows()))
         });
         let mean = |a: &Tensor, b: &Tensor| a * 0.75 + b * 0.25;
         let groups = parts
@@ -224,18 +239,18 @@ mod tests {
     #[test]
     fn gradients_of_behaviour_learning_go_where_they_should() {
         let (agent, batch) = agent(&[]);
-        let states = agent.world().loss(&batch, &mut Laps::off()).states;
+        let replayed = replayed(&agent, &batch);
         let imagined = imagine(
             agent.world(),
             &agent.policy(),
-            starts(&states, &agent.config),
+            starts(&replayed, &agent.config).states,
             &agent.config.behavior,
         );
         let networks = &agent.share.networks;
         let groups = &networks.params;
         let memory = agent
             .policy()
-            .look_ahead(&starts(&states, &agent.config))
+            .look_ahead(&starts(&replayed, &agent.config).states)
             .memory;
         assert!(
             !memory.expect("the policy looks ahead").requires_grad(),

@@ -8,10 +8,10 @@ use tch::{Device, Tensor};
 use super::Metric;
 use super::networks::Networks;
 use crate::batch::Batch;
+use crate::behavior::Replayed;
 use crate::chunked::add_gradients;
 use crate::laps::{Laps, phase};
 use crate::noise::seeded;
-use crate::rssm::State;
 
 /// What is to be computed for some sequences.
 #[derive(Debug)]
@@ -64,14 +64,14 @@ pub(super) fn add_metrics(sums: &mut Vec<Metric>, part: Vec<Metric>, weight: f64
 #[derive(Debug)]
 pub(super) struct Share {
     pub(super) networks: Networks,
-    states: Option<State>,
+    replayed: Option<Replayed>,
 }
 
 impl Share {
     pub(super) fn new(networks: Networks) -> Self {
         Self {
             networks,
-            states: None,
+            replayed: None,
         }
     }
 
@@ -80,10 +80,10 @@ impl Share {
         seeded(job.seed, device, || match job.phase {
             Phase::World(batch) => self.world(&batch, job.weight, laps),
             Phase::Behavior(return_scale) => {
-                let states = self.states.take();
-                let states = states.expect("world-model learning comes first");
+                let replayed = self.replayed.take();
+                let replayed = replayed.expect("world-model learning comes first");
                 self.networks
-                    .behavior_gradients(&states, return_scale.as_ref(), job.weight, laps)
+                    .behavior_gradients(&replayed, return_scale.as_ref(), job.weight, laps)
             }
         })
     }
@@ -94,7 +94,11 @@ impl Share {
         let params = networks.params.world.tensors();
         let gradients = Tensor::run_backward(&[loss.total * weight], &params, false, false);
         laps.lap(phase::WORLD_MODEL_BACKWARD);
-        self.states = Some(loss.states);
+        self.replayed = Some(Replayed {
+            states: loss.states,
+            rewards: batch.rewards.shallow_clone(),
+            discounts: batch.discounts.shallow_clone(),
+        });
         let mut metrics = Vec::new();
         add_metrics(&mut metrics, loss.terms, weight);
         Answer {
