@@ -52,7 +52,8 @@ pub struct Imagined {
     pub saturations: Tensor,
 }
 
-/// Imagines `H` states from detached starts, acting by `policy` on features cut from the graph.
+/// Imagines `H` states from detached starts, acting by `policy` on features cut from the graph; the first
+/// `greedy_share` of the starts by its mode.
 ///
 /// # Shapes
 /// `starts: [N, ..]`
@@ -288,10 +289,12 @@ pub fn replayed_returns(
     (rewards, discounts): &(Tensor, Tensor),
     config: &BehaviorConfig,
 ) -> Tensor {
-    let imagined = imagined.view_as(rewards).transpose(0, 1);
+    // Nothing follows where the episode terminates, whatever is imagined.
+    let imagined = imagined.detach().view_as(rewards);
+    let values: Tensor = rewards.where_self(&discounts.eq(0.0), &imagined);
     lambda_return(
         &rewards.transpose(0, 1),
-        &imagined,
+        &values.transpose(0, 1),
         &(discounts.transpose(0, 1) * config.discount),
         config.lambda,
     )
@@ -313,8 +316,8 @@ mod tests {
         let discounts = Tensor::from_slice(&[1.0_f32, 1.0, 1.0, 1.0, 0.0, 1.0]).view([2, 3]);
         let imagined = Tensor::from_slice(&[10.0_f32, 20.0, 30.0, 40.0, 50.0, 60.0]);
         let returns = replayed_returns(&imagined, &(rewards, discounts), &config);
-        // r_1 + 0.5 * 30 and r_0 + 0.5 * (0.2 * 20 + 0.8 * 17); then 5 and 4 + 0.5 * (0.2 * 50 + 0.8 * 5).
-        let wanted = Tensor::from_slice(&[9.8_f32, 11.0, 17.0, 5.0]).view([2, 2]);
+        // r_1 + 0.5 * 30 and r_0 + 0.5 * (0.2 * 20 + 0.8 * 17); then 5 and 4 + 0.5 * 5.
+        let wanted = Tensor::from_slice(&[9.8_f32, 6.5, 17.0, 5.0]).view([2, 2]);
         assert!(returns.allclose(&wanted, 1e-5, 1e-5, false), "{returns}");
     }
 

@@ -187,6 +187,10 @@ mod tests {
             .gradients
         };
         let [once, thrice] = ["behavior.start_weight=1", "behavior.start_weight=3"].map(gradients);
+        let sum: f64 = (once[0].iter())
+            .map(|gradient| gradient.norm().double_value(&[]))
+            .sum();
+        assert!(sum > 1e-4, "there is a gradient to count: {sum}");
         for (group, times) in [3.0, 1.0].into_iter().enumerate() {
             for (a, b) in once[group].iter().zip(&thrice[group]) {
                 assert_eq!(a.defined(), b.defined());
