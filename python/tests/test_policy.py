@@ -29,7 +29,7 @@ DEBUG: dict[str, Any] = {
     "attention_dim": 16,
 }
 DEBUG |= {"indicator": True, "dependency_gate": True, "encoder_actions": True, "future": "attention", "min_std": 0.1}
-DEBUG |= {"policy_min_std": 0.1}
+DEBUG |= {"policy_min_std": 0.1, "encoder_frames": 1}
 
 
 def shapes(model: dict[str, Any], window: int, action_dim: int) -> dict[str, tuple[int, ...]]:
@@ -45,7 +45,7 @@ def shapes(model: dict[str, Any], window: int, action_dim: int) -> dict[str, tup
         found[f"{name}.weight"], found[f"{name}.bias"] = (outputs, inputs, 4, 4), (outputs,)
 
     encoder = "world_model.encoder"
-    conv(f"{encoder}.stem.conv0", 3, depth)
+    conv(f"{encoder}.stem.conv0", 3 * model["encoder_frames"], depth)
     conv(f"{encoder}.stem.conv1", depth, 2 * depth)
     for branch in ("controllable", "noncontrollable"):
         conv(f"{encoder}.{branch}.conv2", 2 * depth + planes, 4 * depth)
@@ -117,6 +117,7 @@ def write(folder: Path, address: str, model: dict[str, Any], window: int, action
         ({"indicator": False}, 3, 2),
         ({}, 0, 2),
         ({"future": "concatenation"}, 3, 2),
+        ({"encoder_frames": 3}, 3, 2),
         ({"cnn_depth": 32, "deter": 200, "stoch": 50, "hidden": 200, "units": 400, "actor_layers": 4}, 5, 2),
     ],
 )
@@ -149,8 +150,9 @@ class NoNoise:
         return np.zeros(shape, dtype)
 
 
-def policy_of(count: int, *, seed: int = 0) -> Policy:
-    checkpoint = Checkpoint(0, 0, {"model": DEBUG, "behavior": {"rollout_window": 3}}, weights(DEBUG, 3, 2))
+def policy_of(count: int, *, seed: int = 0, **changes: Any) -> Policy:
+    model = {**DEBUG, **changes}
+    checkpoint = Checkpoint(0, 0, {"model": model, "behavior": {"rollout_window": 3}}, weights(model, 3, 2))
     policy = Policy(checkpoint, seed)
     policy.reset(count)
     return policy
@@ -159,12 +161,12 @@ def policy_of(count: int, *, seed: int = 0) -> Policy:
 def test_environments_of_a_batch_are_apart_and_begin_anew_alone() -> None:
     rng = np.random.default_rng(1)
     images = rng.integers(0, 256, (4, 3, 64, 64, 3), np.uint8)
-    batch = policy_of(3)
+    batch = policy_of(3, encoder_frames=2)
     batch.rng = NoNoise()  # type: ignore[assignment]
     is_first = np.array([[True] * 3, [False] * 3, [False, True, False], [False] * 3])
     actions = np.stack([batch.act(seen, first) for seen, first in zip(images, is_first, strict=True)])
     for index in range(3):
-        alone = policy_of(1)
+        alone = policy_of(1, encoder_frames=2)
         alone.rng = NoNoise()  # type: ignore[assignment]
         for step in range(4):
             if is_first[step, index]:

@@ -2,8 +2,8 @@
 
 use isodream_core::{Config, EnvSpec, Step, Steps};
 use isodream_model::batch::{StagedSteps, preprocess};
+use isodream_model::policy::Memory;
 use isodream_model::reward::{Plans, imagined_returns};
-use isodream_model::rssm::State;
 use isodream_model::{ActingModel, Actions, Decision, LoadError, RewardModel};
 use tch::{Device, Tensor};
 
@@ -20,7 +20,7 @@ pub struct Insight {
 #[derive(Debug)]
 pub struct AgentPolicy {
     model: ActingModel,
-    state: State,
+    memory: Memory,
     spec: EnvSpec,
 }
 
@@ -37,10 +37,10 @@ impl AgentPolicy {
     ) -> Result<Self, LoadError> {
         let mut model = ActingModel::new(config, spec.action_dim, Device::Cpu);
         model.load(weights)?;
-        let state = model.begin(environments as i64);
+        let memory = model.begin(environments as i64);
         Ok(Self {
             model,
-            state,
+            memory,
             spec: spec.clone(),
         })
     }
@@ -84,21 +84,21 @@ impl AgentPolicy {
         (values(&decision.actions(actions)), insight)
     }
 
-    /// Posterior latents at every step of an episode, `[T, ..]`, without a change of the memory.
+    /// What would be remembered at every step of an episode, `[T, ..]`, without a change of the memory.
     ///
     /// # Panics
     /// If this episode has images of other sizes than the environment: a defect of the caller.
-    pub fn latents(&self, episode: &Steps) -> State {
+    pub fn memories(&self, episode: &Steps) -> Memory {
         let side = self.spec.image.height;
         let staged = StagedSteps::new(std::slice::from_ref(episode), side, Device::Cpu);
         let batch = staged.to_batch(Device::Cpu);
-        let states = self.model.observe(&batch.images, &batch.actions);
-        states.map(|x| x.squeeze_dim(0))
+        let memories = self.model.observe(&batch.images, &batch.actions);
+        memories.map(|x| x.squeeze_dim(0))
     }
 
-    /// Goes on from latents of the only environment, `[1, ..]`, as if they were the memory.
-    pub fn remember(&mut self, state: State) {
-        self.state = state;
+    /// Goes on from another memory of the only environment, `[1, ..]`.
+    pub fn remember(&mut self, memory: Memory) {
+        self.memory = memory;
     }
 
     /// [`imagined_returns`] by the latent dynamics of this policy.
@@ -130,7 +130,7 @@ impl AgentPolicy {
         let executed = Tensor::from_slice(&executed).view([count, -1]);
         let is_first: Vec<bool> = steps.iter().map(|step| step.is_first).collect();
         self.model
-            .step(&mut self.state, &preprocess(&pixels), &executed, &is_first)
+            .step(&mut self.memory, &preprocess(&pixels), &executed, &is_first)
     }
 }
 

@@ -147,10 +147,11 @@ impl Macs {
                 + fold(13.0, 6.0, 2.0 * depth, depth)
                 + fold(30.0, 6.0, depth, channels)
         };
+        let seen = 3.0 * float(model.encoder_frames);
         let (first_conv, second_conv) = if small {
-            (conv(15.0, 3.0, 2.0 * depth), 0.0)
+            (conv(15.0, seen, 2.0 * depth), 0.0)
         } else {
-            (conv(31.0, 3.0, depth), conv(14.0, depth, 2.0 * depth))
+            (conv(31.0, seen, depth), conv(14.0, depth, 2.0 * depth))
         };
         let transition = (stoch + action) * hidden + (hidden + deter) * 3.0 * deter;
         let prior = deter * hidden + hidden * 2.0 * stoch;

@@ -11,6 +11,22 @@ pub fn embed_dim(config: &ModelConfig) -> i64 {
     8 * config.cnn_depth * 2 * 2
 }
 
+/// Each picture of a sequence with the `frames - 1` right before it, the newest first; grey where there is none.
+///
+/// # Shapes
+/// `[B, T, 3, side, side] -> [B, T, 3 frames, side, side]`
+pub fn stack_frames(images: &Tensor, frames: i64) -> Tensor {
+    let length = images.size()[1];
+    let back = |steps: i64| {
+        let none = images.narrow(1, 0, steps.min(length)).zeros_like();
+        Tensor::cat(&[none, images.narrow(1, 0, (length - steps).max(0))], 1)
+    };
+    match frames {
+        1 => images.shallow_clone(),
+        _ => Tensor::cat(&(0..frames).map(back).collect::<Vec<_>>(), 2),
+    }
+}
+
 /// The first convolutions, shared by all branches: two for pictures of 64 pixels, one for pictures of 32.
 #[derive(Debug)]
 pub struct Stem {
@@ -21,10 +37,11 @@ impl Stem {
     /// The stem for RGB images of `side` rows and columns, 32 or 64.
     pub fn new(mut scope: Scope<'_>, config: &ModelConfig, side: i64) -> Self {
         let depth = config.cnn_depth;
+        let seen = 3 * config.encoder_frames;
         let channels: &[i64] = if side == 32 {
-            &[3, 2 * depth]
+            &[seen, 2 * depth]
         } else {
-            &[3, depth, 2 * depth]
+            &[seen, depth, 2 * depth]
         };
         let layer = |(index, pair): (usize, &[i64])| {
             Conv::new(scope.sub(format!("conv{index}")), pair[0], pair[1])
@@ -35,7 +52,7 @@ impl Stem {
     }
 
     /// # Shapes
-    /// `[N, 3, 64, 64] -> [N, 2 depth, 14, 14]`, or `[N, 3, 32, 32] -> [N, 2 depth, 15, 15]`
+    /// [`stack_frames`]'s `[N, 3 frames, 64, 64] -> [N, 2 depth, 14, 14]`, or `[N, 3 frames, 32, 32] -> [N, 2 depth, 15, 15]`
     pub fn forward(&self, image: &Tensor) -> Tensor {
         self.layers
             .iter()
@@ -117,6 +134,39 @@ impl Encoder {
         Embeddings {
             controllable: self.controllable.forward(stem, action),
             noncontrollable: self.noncontrollable.forward(stem, action),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tch::Device;
+
+    use super::*;
+
+    #[test]
+    fn a_picture_is_seen_with_those_before_it() {
+        // Two sequences of four steps, numbered 1 to 8 in all pixels of all channels.
+        let numbers = Tensor::arange(8, (Kind::Float, Device::Cpu)) + 1.0;
+        let images = numbers.view([2, 4, 1, 1, 1]).expand([2, 4, 3, 2, 2], false);
+        assert!(stack_frames(&images, 1).equal(&images));
+        let seen = stack_frames(&images, 3);
+        assert_eq!(seen.size(), [2, 4, 9, 2, 2]);
+        for (sequence, first) in [(0, 1.0), (1, 5.0)] {
+            for t in 0..4 {
+                for back in 0..3 {
+                    let wanted = if back > t {
+                        0.0
+                    } else {
+                        first + (t - back) as f64
+                    };
+                    let block = seen.get(sequence).get(t).narrow(0, 3 * back, 3);
+                    assert!(
+                        block.eq(wanted).all().int64_value(&[]) == 1,
+                        "{sequence} {t} {back}"
+                    );
+                }
+            }
         }
     }
 }

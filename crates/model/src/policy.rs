@@ -7,11 +7,11 @@
 use isodream_core::Config;
 use isodream_core::config::FutureStates;
 use safetensors::SafeTensors;
-use tch::{Device, Tensor};
+use tch::{Device, Kind, Tensor};
 
 use crate::attention::{Attended, FutureAttention};
 use crate::distribution::TruncatedNormal;
-use crate::encoder::{Embeddings, Encoder};
+use crate::encoder::{Embeddings, Encoder, stack_frames};
 use crate::nn::Mlp;
 use crate::params::{LoadError, Params, Scope};
 use crate::rssm::{Latent, Rssm, State};
@@ -208,6 +208,25 @@ impl Policy<'_> {
     }
 }
 
+/// What acting remembers from one step to the next.
+#[derive(Debug)]
+pub struct Memory {
+    /// The latents of the newest step, `[M, ..]`.
+    pub state: State,
+    /// What the encoder saw then ([`stack_frames`]), `[M, 3 frames, 64, 64]`.
+    pub seen: Tensor,
+}
+
+impl Memory {
+    /// Applies `f` to all parts.
+    pub fn map(&self, f: impl Fn(&Tensor) -> Tensor) -> Self {
+        Self {
+            state: self.state.map(&f),
+            seen: f(&self.seen),
+        }
+    }
+}
+
 /// The networks that acting needs, with their own parameters: what is published to actors.
 #[derive(Debug)]
 pub struct ActingModel {
@@ -270,25 +289,40 @@ impl ActingModel {
         }
     }
 
-    /// The latents before the first step of `environments` episodes.
-    pub fn begin(&self, environments: i64) -> State {
-        self.rssm.initial(environments, self.params.device())
+    /// The memory before the first step of `environments` episodes.
+    pub fn begin(&self, environments: i64) -> Memory {
+        let device = self.params.device();
+        let side = self.config.env.image_size as i64;
+        let size = [
+            environments,
+            3 * self.config.model.encoder_frames,
+            side,
+            side,
+        ];
+        Memory {
+            state: self.rssm.initial(environments, device),
+            seen: Tensor::zeros(size, (Kind::Float, device)),
+        }
     }
 
-    /// Posterior latents of a whole sequence from its first step on, by the encoder that [`Self::step`] uses.
+    /// What would be remembered at each step of a sequence that is observed from its first one on.
     ///
     /// # Shapes
     /// `images: [B, T, 3, 64, 64]`, `executed: [B, T, A]`, the actions that led to them `-> [B, T, ..]`
-    pub fn observe(&self, images: &Tensor, executed: &Tensor) -> State {
+    pub fn observe(&self, images: &Tensor, executed: &Tensor) -> Memory {
         let _guard = tch::no_grad_guard();
         let lengths = [images.size()[0], images.size()[1]];
-        let stem = self.encoder.stem.forward(&images.flatten(0, 1));
+        let seen = stack_frames(images, self.config.model.encoder_frames);
+        let stem = self.encoder.stem.forward(&seen.flatten(0, 1));
         let flat = self.encoder.embed(&stem, &executed.flatten(0, 1));
         let embed = Embeddings {
             controllable: flat.controllable.unflatten(0, lengths),
             noncontrollable: flat.noncontrollable.unflatten(0, lengths),
         };
-        self.rssm.observe(executed, &embed).states
+        Memory {
+            state: self.rssm.observe(executed, &embed).states,
+            seen,
+        }
     }
 
     /// The latent dynamics.
@@ -296,15 +330,15 @@ impl ActingModel {
         &self.rssm
     }
 
-    /// One decision (Alg. 1, lines 21-24): posterior, rollout, attention, action. `state` is the memory between
-    /// steps; environments that were just reset (`is_first`) start from the initial one.
+    /// One decision (Alg. 1, lines 21-24): posterior, rollout, attention, action. Environments that were just
+    /// reset (`is_first`) start from the initial memory.
     ///
     /// # Shapes
     /// `images: [M, 3, 64, 64]`, `executed: [M, A]`, the actions that led to them, zero after a reset,
     /// `is_first: [M]`; what is returned lies on the CPU.
     pub fn step(
         &self,
-        state: &mut State,
+        memory: &mut Memory,
         images: &Tensor,
         executed: &Tensor,
         is_first: &[bool],
@@ -317,10 +351,16 @@ impl ActingModel {
                 .iter()
                 .map(|&first| f32::from(u8::from(!first)))
                 .collect();
-            let keep = Tensor::from_slice(&keep).unsqueeze(1).to_device(device);
-            *state = state.map(|x| x * &keep);
+            let keep = Tensor::from_slice(&keep).to_device(device);
+            *memory = memory.map(|x| {
+                let ones = vec![1; x.dim() - 1];
+                x * keep.view([&[-1], &ones[..]].concat().as_slice())
+            });
         }
-        let stem = self.encoder.stem.forward(&images);
+        let Memory { state, seen } = memory;
+        let earlier = 3 * (self.config.model.encoder_frames - 1);
+        *seen = Tensor::cat(&[&images, &seen.narrow(1, 0, earlier)], 1);
+        let stem = self.encoder.stem.forward(seen);
         let embed = self.encoder.embed(&stem, &executed);
         *state = self.rssm.observe_step(state, &executed, &embed);
         let policy = self.policy();

@@ -7,7 +7,7 @@ use tch::{Device, Kind, Tensor};
 use crate::batch::Batch;
 use crate::chunked::sum_of_parts;
 use crate::decoder::{Decoder, compose};
-use crate::encoder::{Embeddings, Encoder, embed_dim};
+use crate::encoder::{Embeddings, Encoder, embed_dim, stack_frames};
 use crate::laps::{Laps, phase};
 use crate::losses::{HALF_LOG_2PI, balanced_kl, gaussian_nll};
 use crate::nn::{Mlp, to_phases};
@@ -143,7 +143,8 @@ impl WorldModel {
     /// `images: [B, T, 3, side, side]`, `actions: [B, T, A]`
     pub fn encode(&self, images: &Tensor, actions: &Tensor) -> Encoded {
         let (batch, length) = (images.size()[0], images.size()[1]);
-        let stem = self.encoder.stem.forward(&images.flatten(0, 1));
+        let seen = stack_frames(images, self.config.encoder_frames);
+        let stem = self.encoder.stem.forward(&seen.flatten(0, 1));
         let flat = self.encoder.embed(&stem, &actions.flatten(0, 1));
         let unflatten = |x: &Tensor| x.unflatten(0, [batch, length]);
         let embed = Embeddings {

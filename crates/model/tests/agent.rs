@@ -5,6 +5,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use isodream_core::config::{Config, InverseInput, Source};
 use isodream_core::{EnvSpec, ImageShape};
 use isodream_model::behavior::imagine;
+use isodream_model::encoder::stack_frames;
 use isodream_model::{ActingModel, Actions, Agent, Batch};
 use tch::{Device, Kind, Tensor};
 
@@ -92,6 +93,7 @@ fn deployed_and_imagined_policy_act_alike() {
         &["model.branches=dynamic"],
         &["model.branches=controllable", "model.indicator=false"],
         &["env.image_size=32", "model.policy_min_std=0.3"],
+        &["model.encoder_frames=3"],
     ] {
         let config = small(set);
         let agent = Agent::new(&config, &spec(), Device::Cpu);
@@ -112,7 +114,9 @@ fn deployed_and_imagined_policy_act_alike() {
 
         tch::manual_seed(5);
         let encoder = &agent.world().encoder;
-        let embed = encoder.embed(&encoder.stem.forward(&images), &nothing);
+        let pair = Tensor::stack(&[&images, &next_images], 1);
+        let seen = stack_frames(&pair, config.model.encoder_frames);
+        let embed = encoder.embed(&encoder.stem.forward(&seen.select(1, 0)), &nothing);
         let initial = agent.world().rssm.initial(count, Device::Cpu);
         let state = agent.world().rssm.observe_step(&initial, &nothing, &embed);
         let start = state.map(Tensor::shallow_clone);
@@ -138,7 +142,7 @@ fn deployed_and_imagined_policy_act_alike() {
         );
         let second = second.actions(Actions::Sample);
         tch::manual_seed(6);
-        let embed = encoder.embed(&encoder.stem.forward(&next_images), &deployed);
+        let embed = encoder.embed(&encoder.stem.forward(&seen.select(1, 1)), &deployed);
         let state = agent.world().rssm.observe_step(&state, &deployed, &embed);
         let policy = agent.policy();
         let wanted = policy.act(&policy.feat(&state, &policy.look_ahead(&state)));
@@ -199,6 +203,7 @@ fn every_option_trains_and_the_losses_fall() {
             "behavior.value_gradient=false",
             "behavior.start_share=0.5",
             "behavior.rollout_window=0",
+            "model.encoder_frames=2",
         ],
         &["model.future=concatenation", "model.branches=dynamic"],
         &["model.branches=controllable", "model.indicator=false"],

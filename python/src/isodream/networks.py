@@ -121,6 +121,9 @@ class Networks:
         """Rows and columns of a picture: the smaller ones need a layer less."""
         weights = Weights(tensors)
         self._encoder, self._encoder_actions = weights.at("world_model.encoder"), model["encoder_actions"]
+        # Checkpoints from before there was a choice see the newest picture alone.
+        self.frames = model.get("encoder_frames", 1)
+        """Pictures that the encoder sees at once: the newest, and those right before it."""
         rssm = weights.at("world_model.rssm")
         self.controllable = Branch(rssm.at("controllable"), model["min_std"])
         self.noncontrollable = Branch(rssm.at("noncontrollable"), model["min_std"])
@@ -136,7 +139,7 @@ class Networks:
     def observe(
         self, s: Latent, z: Latent, executed: Array, images: Array, rng: np.random.Generator
     ) -> tuple[Latent, Latent]:
-        """Posterior samples of both branches after `executed` [N, A] led to `images` [N, side, side, 3]."""
+        """Posterior samples of both branches after `executed` [N, A] led to `images` [N, side, side, 3 frames]."""
         stem = self._encoder.conv("stem.conv0", images)
         if self.side == 64:
             stem = self._encoder.conv("stem.conv1", stem)

@@ -48,6 +48,8 @@ class Policy:
         self._s = self.networks.controllable.initial(count)
         self._z = self.networks.noncontrollable.initial(count)
         self._executed = np.zeros((count, self.action_dim), np.float32)
+        side = self.networks.side
+        self._seen = np.zeros((count, side, side, 3 * self.networks.frames), np.float32)
 
     def act(
         self,
@@ -80,9 +82,11 @@ class Policy:
             keep = 1.0 - np.asarray(is_first, np.float32).reshape(count, 1)
             self._s, self._z = (Latent(*(part * keep for part in latent)) for latent in (self._s, self._z))
             self._executed = self._executed * keep
+            self._seen = self._seen * keep[:, :, None, None]
         networks = self.networks
         pictures = images.astype(np.float32) / 255.0 - 0.5
-        self._s, self._z = networks.observe(self._s, self._z, self._executed, pictures, self.rng)
+        self._seen = join(pictures, self._seen[..., :-3])
+        self._s, self._z = networks.observe(self._s, self._z, self._executed, self._seen, self.rng)
         feat = join(*self._s)
         if networks.looks_ahead:
             feat = networks.foreseeing(feat, networks.look_ahead(self._s, self._z, self.rng))

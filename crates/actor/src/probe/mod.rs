@@ -78,19 +78,19 @@ pub fn probe(
         if here().next().is_none() {
             continue;
         }
-        let latents = agent.latents(&episode.steps);
+        let memories = agent.memories(&episode.steps);
         for place in here() {
             let row = place.row as i64;
             for plan in &plans {
                 if !go_on() {
                     return Ok(Finding::Stopped);
                 }
-                agent.remember(latents.map(|x| x.narrow(0, row, 1)));
+                agent.remember(memories.map(|x| x.narrow(0, row, 1)));
                 match follow(env, agent, episode, place, plan, extent.horizon)? {
                     Some(way) => ways.push(way),
                     None => return Ok(Finding::Unrepeatable),
                 }
-                starts.push(latents.map(|x| x.get(row)));
+                starts.push(memories.state.map(|x| x.get(row)));
             }
         }
     }

@@ -21,6 +21,7 @@ impl Config {
             ("optimizer.critic_lr", self.optimizer.critic_lr),
             ("optimizer.grad_clip", self.optimizer.grad_clip),
             ("model.attention_dim", self.model.attention_dim as f64),
+            ("model.encoder_frames", self.model.encoder_frames as f64),
             (
                 "model.background_frames",
                 self.model.background_frames as f64,

@@ -97,6 +97,9 @@ pub struct ModelConfig {
     /// Initial bias of the gate's logit: above 0 the gate begins open. 0 keeps PyTorch's random initialisation, as in the
     /// authors' code.
     pub gate_bias: f64,
+    /// Pictures that the encoder sees at once: the newest, and those right before it (frame stacking). With 1, as in the
+    /// paper, only the recurrent states know how fast anything moves.
+    pub encoder_frames: i64,
     /// Whether the branch encoders see the previous action.
     pub encoder_actions: bool,
     /// What the inverse dynamics sees.
@@ -131,6 +134,7 @@ impl Default for ModelConfig {
             future: FutureStates::Attention,
             dependency_gate: true,
             gate_bias: 0.0,
+            encoder_frames: 1,
             encoder_actions: true,
             inverse: InverseInput::Posterior,
             mask_bias: 0.0,
