@@ -16,15 +16,14 @@ pub fn embed_dim(config: &ModelConfig) -> i64 {
 /// # Shapes
 /// `[B, T, 3, side, side] -> [B, T, 3 frames, side, side]`
 pub fn stack_frames(images: &Tensor, frames: i64) -> Tensor {
-    let length = images.size()[1];
-    let back = |steps: i64| {
-        let none = images.narrow(1, 0, steps.min(length)).zeros_like();
-        Tensor::cat(&[none, images.narrow(1, 0, (length - steps).max(0))], 1)
-    };
-    match frames {
-        1 => images.shallow_clone(),
-        _ => Tensor::cat(&(0..frames).map(back).collect::<Vec<_>>(), 2),
+    if frames == 1 {
+        return images.shallow_clone();
     }
+    let (length, earlier) = (images.size()[1], frames - 1);
+    // Two numbers per axis, the last axis first: only time is padded, before its first step.
+    let padded = images.constant_pad_nd([0, 0, 0, 0, 0, 0, earlier, 0]);
+    let back = |steps: i64| padded.narrow(1, earlier - steps, length);
+    Tensor::cat(&(0..frames).map(back).collect::<Vec<_>>(), 2)
 }
 
 /// The first convolutions, shared by all branches: two for pictures of 64 pixels, one for pictures of 32.

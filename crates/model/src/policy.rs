@@ -352,10 +352,8 @@ impl ActingModel {
                 .map(|&first| f32::from(u8::from(!first)))
                 .collect();
             let keep = Tensor::from_slice(&keep).to_device(device);
-            *memory = memory.map(|x| {
-                let ones = vec![1; x.dim() - 1];
-                x * keep.view([&[-1], &ones[..]].concat().as_slice())
-            });
+            memory.state = memory.state.map(|x| x * keep.view([-1, 1]));
+            memory.seen = &memory.seen * keep.view([-1, 1, 1, 1]);
         }
         let Memory { state, seen } = memory;
         let earlier = 3 * (self.config.model.encoder_frames - 1);

@@ -149,6 +149,11 @@ fn deployed_and_imagined_policy_act_alike() {
         let wanted = wanted.sample();
         assert!(second.equal(&wanted), "{set:?}: {second} {wanted}");
 
+        // A sequence that is observed at once leaves the same pictures in memory.
+        let executed = Tensor::stack(&[&nothing, &deployed], 1);
+        let observed = acting.observe(&pair, &executed).seen.select(1, 1);
+        assert!(observed.equal(&memory.seen), "{set:?}");
+
         // A reset forgets both.
         tch::manual_seed(5);
         let again = acting.step(&mut memory, &images, &nothing, &first);

@@ -176,17 +176,17 @@ mod tests {
 
     #[test]
     fn the_actors_gradient_counts_more_where_imagination_starts() {
-        let gradients = |weight: &str| {
-            // Two states: the only action is that of the start.
-            let (agent, batch) = agent(&["behavior.imagination_horizon=2", weight]);
-            let networks = &agent.share.networks;
-            let replayed = replayed(&agent, &batch);
+        // Two states: the only action is that of the start.
+        let (mut agent, batch) = agent(&["behavior.imagination_horizon=2"]);
+        let replayed = replayed(&agent, &batch);
+        let [once, thrice] = [1.0, 3.0].map(|weight| {
+            let networks = &mut agent.share.networks;
+            networks.config.behavior.start_weight = weight;
             seeded(5, Device::Cpu, || {
                 networks.behavior_gradients(&replayed, None, 1.0, &mut Laps::off())
             })
             .gradients
-        };
-        let [once, thrice] = ["behavior.start_weight=1", "behavior.start_weight=3"].map(gradients);
+        });
         let sum: f64 = (once[0].iter())
             .map(|gradient| gradient.norm().double_value(&[]))
             .sum();
